@@ -1,0 +1,56 @@
+# Python 3.11 or newer; choose another with `make PYTHON=python3.12 ...`.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: help demo test lint format bench clean
+
+help:
+	@echo "make demo    run a dam break and animate it"
+	@echo "make test    format check, lint, types, layers, tests"
+	@echo "make lint    all of these but the tests"
+	@echo "make format  format the code"
+	@echo "make bench   run the benchmarks"
+	@echo "make clean   remove the environment and what runs have made"
+
+.venv/.installed: pyproject.toml
+	@command -v $(PYTHON) >/dev/null || \
+		{ echo "error: $(PYTHON) not found; choose a Python with make PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "error: jaxmps needs Python 3.11 or newer, but $(PYTHON) is" \
+		"$$($(PYTHON) -V 2>&1); choose another with make PYTHON=..." >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -e .
+	@touch $@
+
+.venv/.installed-test: .venv/.installed
+	$(BIN)/python -m pip install --quiet -e '.[test]'
+	@touch $@
+
+demo: .venv/.installed
+	$(BIN)/jaxmps run dam_break --spacing 0.02 --until 1.0 --save-every 0.02 --out demo --force
+	$(BIN)/jaxmps animate demo/run.vtkhdf
+	@echo "Pictures and animation:"
+	@ls demo/*.png demo/*.gif demo/*.mp4 2>/dev/null | sed 's/^/  /'
+	@echo "Data, for ParaView or PyVista:"
+	@ls demo/*.vtkhdf | sed 's/^/  /'
+
+lint: .venv/.installed-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/lint-imports
+
+test: lint
+	$(BIN)/python -m pytest -n 2
+
+format: .venv/.installed-test
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: .venv/.installed
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+clean:
+	rm -rf .venv build dist out demo .pytest_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

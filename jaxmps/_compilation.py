@@ -1,0 +1,47 @@
+"""`jit` with the compiler options that our kernels need.
+
+XLA's "ynn" fusions on CPUs (on by default since jax 0.10.2) slow gather-heavy kernels up to threefold, and the first
+release that had them compiled some kernels wrongly (jax issue 39103). They are switched off here, where the option
+exists; as an XLA flag it would abort the releases that do not know it.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+_OPTIONS = {"xla_cpu_experimental_ynn_fusion_type": ""}
+
+
+@functools.cache
+def compiler_options() -> dict[str, Any] | None:
+    """The options for this release and backend, None if it does not know them."""
+    if jax.default_backend() != "cpu":
+        return None
+    try:
+        with jax.ensure_compile_time_eval():
+            jax.jit(lambda x: x + 1, compiler_options=_OPTIONS)(1)
+    except Exception:  # the type of the error differs from release to release
+        return None
+    return _OPTIONS
+
+
+def jit(function: Callable[..., Any], **keywords: Any) -> Callable[..., Any]:
+    """`jax.jit` with our compiler options; the backend is asked at the first call, not at import.
+
+    Inside another transformation the options are left out: JAX takes them at the outermost `jit` only.
+    """
+    plain = jax.jit(function, **keywords)
+
+    @functools.cache
+    def tuned() -> Callable[..., Any]:
+        return jax.jit(function, compiler_options=compiler_options(), **keywords)
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        leaves = jax.tree.leaves((args, kwargs))
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+        return (plain if traced else tuned())(*args, **kwargs)
+
+    return call

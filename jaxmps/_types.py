@@ -1,0 +1,15 @@
+"""Array types and conversions that every module shares."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from jaxtyping import ArrayLike as ArrayLike
+
+Scalar = Float[Array, ""]
+
+
+def as_array(value: ArrayLike) -> Array:
+    """`value` as an array of JAX's default float.
+
+    A bare Python float in a module is static: every value of it would be compiled anew.
+    """
+    return jnp.asarray(value, dtype=float)

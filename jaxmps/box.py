@@ -1,0 +1,67 @@
+"""The domain: an axis-parallel box, each axis open or periodic."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxmps.validation import number
+
+
+class Box(eqx.Module):
+    """Lower and upper corner [m] and which axes are periodic; static, for it fixes the grid of the neighbor search.
+
+    On an open axis a particle outside `[lower, upper)` has left the domain and is taken out of the flow.
+    """
+
+    lower: tuple[float, ...] = eqx.field(static=True)
+    upper: tuple[float, ...] = eqx.field(static=True)
+    periodic: tuple[bool, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        lower: tuple[float, ...],
+        upper: tuple[float, ...],
+        periodic: tuple[bool, ...] | None = None,
+    ):
+        self.lower = tuple(number("box.lower", x, "m") for x in lower)
+        self.upper = tuple(number("box.upper", x, "m") for x in upper)
+        self.periodic = (False,) * len(self.lower) if periodic is None else tuple(periodic)
+        if not len(self.lower) == len(self.upper) == len(self.periodic) in (2, 3):
+            raise ValueError(
+                "box.lower, box.upper and box.periodic must all have 2 or all have 3 entries, got "
+                f"{len(self.lower)}, {len(self.upper)} and {len(self.periodic)}"
+            )
+        if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(
+                f"box.upper must exceed box.lower on every axis, got {self.lower} m and {self.upper} m"
+            )
+
+    @property
+    def dim(self) -> int:
+        return len(self.lower)
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
+
+    def displacement(self, r_ij: Float[Array, "*pairs d"]) -> Float[Array, "*pairs d"]:
+        """`r_j − r_i` [m] to the nearest image of j along the periodic axes."""
+        if not any(self.periodic):
+            return r_ij
+        period = jnp.where(jnp.array(self.periodic), jnp.array(self.lengths, r_ij.dtype), jnp.inf)
+        period_or_one = jnp.where(jnp.isfinite(period), period, 1.0)
+        images = jnp.where(jnp.isfinite(period), jnp.round(r_ij / period_or_one), 0.0)
+        return r_ij - images * period_or_one
+
+    def wrap(self, position: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
+        """Positions [m] moved back by whole periods along the periodic axes."""
+        if not any(self.periodic):
+            return position
+        lower = jnp.array(self.lower, position.dtype)
+        inside = lower + jnp.mod(position - lower, jnp.array(self.lengths, position.dtype))
+        return jnp.where(jnp.array(self.periodic), inside, position)
+
+    def contains(self, position: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+        """Whether a position [m] lies in the box along its open axes. Not finite counts as outside."""
+        inside = (position >= jnp.array(self.lower)) & (position < jnp.array(self.upper))
+        return jnp.all(inside | jnp.array(self.periodic), axis=-1)

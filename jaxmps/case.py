@@ -1,0 +1,90 @@
+"""A case: everything about a flow that is not a numerical method."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxmps._types import as_array
+from jaxmps.box import Box
+from jaxmps.particles import Fluid, Kind, Particles
+from jaxmps.validation import positive
+
+
+class Case(eqx.Module):
+    """Particles at t = 0, materials, gravity [m/s²], spacing l0 [m] and domain.
+
+    `name` and `parameters` only describe the case in files and figures. Made by the functions in `jaxmps.cases`, or
+    by hand from arrays; the arrays are checked, and `ValueError` names what is wrong with them.
+    """
+
+    particles: Particles
+    fluids: Fluid
+    gravity: Float[Array, " d"] = eqx.field(converter=as_array)
+    spacing: float = eqx.field(static=True)
+    box: Box
+    name: str = eqx.field(static=True, default="custom")
+    parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        positive("spacing", self.spacing, "m")
+        particles, box = self.particles, self.box
+        if particles.position.ndim != 2 or particles.position.shape[1] != box.dim:
+            raise ValueError(
+                f"particles.position must have the shape (particles, {box.dim}) of its box, got "
+                f"{particles.position.shape}"
+            )
+        if self.gravity.shape != (box.dim,):
+            raise ValueError(f"gravity must have {box.dim} components, got {self.gravity.shape}")
+        if self.fluids.density.shape != self.fluids.viscosity.shape:
+            raise ValueError(
+                "fluids.density and fluids.viscosity must have one entry for each phase, got "
+                f"{self.fluids.density.shape} and {self.fluids.viscosity.shape}"
+            )
+        for period, axis, length in zip(box.periodic, "xyz", box.lengths, strict=False):
+            if period and length < 6.0 * self.spacing:
+                raise ValueError(
+                    f"the box must be at least 6 spacings long on its periodic axis {axis} "
+                    f"({6.0 * self.spacing:g} m), got {length:g} m"
+                )
+        _check_values(self)
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return self.box.dim
+
+    @property
+    def density(self) -> Float[Array, " n"]:
+        """Density of each particle [kg/m³]."""
+        return self.fluids.density[self.particles.phase]
+
+
+def _check_values(case: Case) -> None:
+    """Checks that need values; under a transformation there are none, and nothing to check."""
+    try:
+        position, density, phase, kind = (
+            np.asarray(x)
+            for x in (
+                case.particles.position,
+                case.fluids.density,
+                case.particles.phase,
+                case.particles.kind,
+            )
+        )
+        inside = np.asarray(case.box.contains(case.particles.position))
+    except Exception:  # tracers and abstract values have no numbers
+        return
+    if not np.all(density > 0):
+        raise ValueError(f"fluids.density must be greater than zero, got {density} kg/m^3")
+    if phase.size and not (0 <= phase.min() and phase.max() < density.size):
+        raise ValueError(
+            f"particles.phase must be between 0 and {density.size - 1}, got {phase.min()} to {phase.max()}"
+        )
+    outside = np.flatnonzero(~inside & (kind != Kind.REMOVED))
+    if outside.size:
+        raise ValueError(
+            f"every particle must lie in the box from {case.box.lower} m to {case.box.upper} m, got particle "
+            f"{outside[0]} at {tuple(position[outside[0]].tolist())} m and {outside.size - 1} more"
+        )

@@ -1,0 +1,111 @@
+"""Particles on a lattice: fluid blocks in tanks with a wall layer and dummy layers."""
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from jaxmps.box import Box
+from jaxmps.case import Case
+from jaxmps.particles import Fluid, Kind, at_rest
+from jaxmps.validation import between
+
+WATER = {"density": 1000.0, "viscosity": 1e-6}
+"""kg/m³ and m²/s."""
+
+
+def dummy_layers(ratio: float) -> int:
+    """Layers of dummies behind the wall that complete the neighborhood of a wall particle, ⌈r_e / l0⌉ − 1."""
+    return max(1, math.ceil(ratio) - 1)
+
+
+def cells(length: float, spacing: float) -> int:
+    """Whole number of spacings that comes closest to a length."""
+    return round(length / spacing)
+
+
+def block_in_tank(
+    block: tuple[int, ...],
+    inside: tuple[int, ...],
+    wall_height: int,
+    layers: int,
+    periodic: tuple[bool, ...],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Integer lattice points and `Kind` of a block of fluid in the lower corner of a tank that is open at the top.
+
+    `block` and `inside` count fluid particles and inner lattice points along each axis (the last is vertical), walls
+    stand on `wall_height` rows and are 1 + `layers` particles thick, on all sides that are not periodic.
+    """
+    thick = 1 + layers
+    ranges = [
+        range(0, size) if wraps else range(-thick, size + thick)
+        for size, wraps in zip(inside[:-1], periodic[:-1], strict=True)
+    ]
+    ranges.append(range(-thick, max(wall_height, block[-1])))
+    points = np.array(list(itertools.product(*ranges)))
+    limits = np.array([*(size - 1 for size in inside[:-1]), np.iinfo(int).max])
+    depth = np.maximum(np.maximum(-points, points - limits), 0).max(axis=1)
+    fluid = np.all((points >= 0) & (points < np.array(block)), axis=1)
+    wall = (depth > 0) & (points[:, -1] < wall_height)
+    kind = np.where(fluid, Kind.FLUID, np.where(depth == 1, Kind.WALL, Kind.DUMMY))
+    order = np.concatenate([np.flatnonzero(fluid), np.flatnonzero(wall & ~fluid)])
+    return points[order], kind[order]
+
+
+def tank_case(
+    *,
+    name: str,
+    parameters: Mapping[str, Any],
+    block: tuple[int, ...],
+    inside: tuple[int, ...],
+    wall_height: int,
+    headroom: float,
+    spacing: float,
+    ratio: float,
+    gravity: float,
+    density: float,
+    viscosity: float,
+    periodic: tuple[bool, ...] | None = None,
+) -> Case:
+    """A block of one fluid at rest in a tank whose inner lower corner is the origin. `headroom`: top of the domain [m].
+
+    Each particle stands in the middle of its cell: the first at l0 / 2 from floor and walls.
+    """
+    dim = len(block)
+    periodic = periodic or (False,) * dim
+    layers = dummy_layers(ratio)
+    points, kind = block_in_tank(block, inside, wall_height, layers, periodic)
+    margin = (1 + layers) * spacing
+    lower = [0.0 if p else -margin for p in periodic]
+    upper = [
+        size * spacing + (0.0 if p else margin) for size, p in zip(inside, periodic, strict=True)
+    ]
+    upper[-1] = headroom
+    return Case(
+        particles=at_rest((points + 0.5) * spacing, kind),
+        fluids=Fluid([density], [viscosity]),
+        gravity=[0.0] * (dim - 1) + [-gravity],
+        spacing=spacing,
+        box=Box(tuple(lower), tuple(upper), periodic),
+        name=name,
+        parameters=tuple(parameters.items()),
+    )
+
+
+def jitter(case: Case, amplitude: float, key: Key[Array, ""]) -> Case:
+    """The case with its fluid particles displaced by up to `amplitude` spacings (0 to 0.3) along each axis.
+
+    The displacements are independent and uniform; use it to see how much of a result hangs on the lattice.
+    """
+    between("amplitude", amplitude, 0.0, 0.3, "spacings")
+    particles = case.particles
+    shift = jax.random.uniform(key, particles.position.shape, minval=-1.0, maxval=1.0)
+    shift = amplitude * case.spacing * shift.astype(particles.position.dtype)
+    position = jnp.where(particles.fluid[:, None], particles.position + shift, particles.position)
+    return eqx.tree_at(lambda c: c.particles.position, case, case.box.wrap(position))

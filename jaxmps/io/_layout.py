@@ -1,0 +1,107 @@
+"""The groups and datasets of a VTKHDF PolyData that grows by a time step at a time.
+
+Connectivity, phase and density are stored once, with offset 0 in every step.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+CHANGING = ("velocity", "pressure", "number_density", "surface", "kind")
+FIXED = ("phase", "density")
+# Newer layouts mark a file as open for writing, and it could not be opened after a SIGKILL.
+_LIBVER = ("earliest", "v110")
+# A dataset of more chunks has its chunk index rebuilt; a SIGKILL amid that could cost frames.
+_CHUNKS = 64
+_STEP_ROWS = 512
+
+
+def create(path: Path, particles: int, dtype: np.dtype, frames: int) -> None:
+    """Makes the file at `path` one without steps, laid out for about `frames` of them."""
+    with h5py.File(path, "w", libver=_LIBVER, locking=False) as file:
+        root = file.create_group("VTKHDF")
+        root.attrs["Version"] = np.array([2, 0])
+        # The readers take a string of fixed length only.
+        root.attrs["Type"] = np.bytes_("PolyData")
+        _create_mesh(root, particles, dtype, rows=particles * math.ceil(frames / _CHUNKS))
+        _create_steps(root)
+
+
+def open_file(path: Path, mode: str) -> Any:
+    """The HDF5 file, unlocked: a viewer may have it open. No cache: appends write nothing twice."""
+    return h5py.File(path, mode, libver=_LIBVER, locking=False, rdcc_nbytes=0)
+
+
+def append_step(root: Any, time: float, columns: Mapping[str, np.ndarray]) -> None:
+    """Adds all of a step to group `VTKHDF` but its count: `count_step` does that, in the end."""
+    steps = root["Steps"]
+    frame, start = int(steps.attrs["NSteps"]), 0
+    for name, values in columns.items():
+        start = frame * len(values)
+        put(root[name], start, values)
+    put(steps["Values"], frame, np.array([time], np.float64))
+    put(steps["PointOffsets"], frame, np.array([start]))
+    for name in ("PartOffsets", "NumberOfParts", "CellOffsets", "ConnectivityIdOffsets"):
+        steps[name].resize(frame + 1, axis=0)
+
+
+def count_step(root: Any) -> None:
+    """Makes the step just added count: a reader, or a kill, before sees the earlier steps only."""
+    root.file.flush()
+    root["Steps"].attrs.modify("NSteps", int(root["Steps"].attrs["NSteps"]) + 1)
+
+
+def put(dataset: Any, start: int, values: np.ndarray) -> None:
+    """Writes `values` from row `start` on, and ends the dataset there."""
+    dataset.resize(start + len(values), axis=0)
+    dataset[start:] = values
+
+
+def create_growing(
+    group: Any,
+    name: str,
+    rest: tuple[int, ...] = (),
+    dtype: Any = np.int64,
+    rows: int = _STEP_ROWS,
+    fill: int = 0,
+) -> None:
+    """An empty dataset of rows of shape `rest`, in chunks of `rows`."""
+    shape, limit, chunks = (0, *rest), (None, *rest), (rows, *rest)
+    group.create_dataset(name, shape, dtype, maxshape=limit, chunks=chunks, fillvalue=fill)
+
+
+def _create_mesh(root: Any, particles: int, dtype: np.dtype, rows: int) -> None:
+    root["NumberOfPoints"] = np.array([particles])
+    for name in ("Vertices", "Lines", "Polygons", "Strips"):
+        cells = root.create_group(name)
+        count = particles if name == "Vertices" else 0
+        cells["NumberOfCells"] = cells["NumberOfConnectivityIds"] = np.array([count])
+        cells["Offsets"], cells["Connectivity"] = np.arange(count + 1), np.arange(count)
+    data = root.create_group("PointData")
+    create_growing(root, "Points", (3,), dtype, rows)
+    create_growing(data, "velocity", (3,), dtype, rows)
+    create_growing(data, "pressure", (), dtype, rows)
+    create_growing(data, "number_density", (), dtype, rows)
+    create_growing(data, "surface", (), np.uint8, rows)
+    create_growing(data, "kind", (), np.int8, rows)
+
+
+def _create_steps(root: Any) -> None:
+    steps = root.create_group("Steps")
+    steps.attrs["NSteps"] = 0
+    create_growing(steps, "Values", dtype=np.float64)
+    create_growing(steps, "PointOffsets")
+    # One part and one mesh serve all steps: these are never written, and read as their fill value.
+    create_growing(steps, "PartOffsets")
+    create_growing(steps, "NumberOfParts", fill=1)
+    create_growing(steps, "CellOffsets", (4,))
+    create_growing(steps, "ConnectivityIdOffsets", (4,))
+    offsets = steps.create_group("PointDataOffsets")
+    for name in CHANGING:
+        offsets[name] = steps["PointOffsets"]
+    for name in FIXED:
+        offsets[name] = steps["PartOffsets"]

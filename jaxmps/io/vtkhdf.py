@@ -1,0 +1,200 @@
+"""One HDF5 file per run: group `VTKHDF` for viewers, group `jaxmps` for all else.
+
+`VTKHDF` is a PolyData with time steps, a vertex per particle; in 2-D the third component is zero.
+`jaxmps` has the times and energies of the frames, and JSON strings that describe the run.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
+
+from jaxmps.io import _layout
+from jaxmps.run import Run
+from jaxmps.status import Event, Outcome, Status
+
+FORMAT = 1
+UNITS = {
+    "time": "s",
+    "position": "m",
+    "velocity": "m/s",
+    "pressure": "Pa",
+    "number_density": "1",
+    "surface": "1",
+    "kind": "1",
+    "phase": "1",
+    "density": "kg/m^3",
+    "spacing": "m",
+    "energy": "J/kg",
+}
+
+
+class Writer:
+    """Writes a run frame by frame; the file is complete and readable after each of them.
+
+    `frames` is about how many there will be. More do no harm, but then a SIGKILL in the very
+    instant of writing could.
+
+    Raises `FileExistsError` if there is a file at `path` and `overwrite` is false, another
+    `OSError` if the file cannot be written, `ValueError` if an argument is none that fits.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        phase: ArrayLike,
+        density: ArrayLike,
+        spacing: float,
+        dim: int,
+        dtype: DTypeLike,
+        metadata: Mapping[str, Any],
+        overwrite: bool = False,
+        frames: int = 64,
+    ) -> None:
+        phase = np.asarray(phase, np.int32)
+        self.path, self._dim, self._dtype = Path(path), dim, np.dtype(dtype)
+        self._particles = len(phase)
+        if dim not in (2, 3):
+            raise ValueError(f"dim must be 2 or 3, got {dim}")
+        if self._dtype not in (np.float32, np.float64):
+            raise ValueError(f"dtype must be float32 or float64, got {self._dtype}")
+        if not self._particles:
+            raise ValueError("phase must have at least one particle, got none")
+        units = {**UNITS, **metadata.get("units", {})}
+        described = {key: _to_json(value) for key, value in {**metadata, "units": units}.items()}
+        _reserve(self.path, overwrite)
+        _layout.create(self.path, self._particles, self._dtype, max(frames, 1))
+        with _layout.open_file(self.path, "r+") as file:
+            data = file["VTKHDF/PointData"]
+            data["phase"] = phase
+            data["density"] = np.broadcast_to(np.asarray(density, self._dtype), phase.shape)
+            own = file.create_group("jaxmps")
+            own["time"] = file["VTKHDF/Steps/Values"]
+            _layout.create_growing(own, "energy", (2,), np.float64)
+            own.attrs.update(format=FORMAT, dim=dim, spacing=float(spacing))
+            own.create_group("metadata").attrs.update(described)
+
+    def append(
+        self,
+        time: float,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        pressure: ArrayLike,
+        number_density: ArrayLike,
+        surface: ArrayLike,
+        kind: ArrayLike,
+        energy: ArrayLike,
+    ) -> None:
+        """Adds a frame; units and shapes as in `Run`. Raises `ValueError` for another shape."""
+        columns = {
+            "Points": self._padded("position", position),
+            "PointData/velocity": self._padded("velocity", velocity),
+            "PointData/pressure": self._column("pressure", pressure, self._dtype),
+            "PointData/number_density": self._column("number_density", number_density, self._dtype),
+            "PointData/surface": self._column("surface", surface, np.uint8),
+            "PointData/kind": self._column("kind", kind, np.int8),
+        }
+        energies = _checked("energy", np.asarray(energy, np.float64), (2,))
+        with _layout.open_file(self.path, "r+") as file:
+            root = file["VTKHDF"]
+            _layout.put(file["jaxmps/energy"], int(root["Steps"].attrs["NSteps"]), energies[None])
+            _layout.append_step(root, float(time), columns)
+            _layout.count_step(root)
+
+    def finish(self, status: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
+        """Writes how the run ended."""
+        with _layout.open_file(self.path, "r+") as file:
+            file["jaxmps"].attrs["summary"] = _to_json(summary)
+            file["jaxmps"].attrs["status"] = _to_json(status)
+
+    def _column(self, name: str, values: ArrayLike, dtype: DTypeLike) -> np.ndarray:
+        return _checked(name, np.asarray(values, dtype), (self._particles,))
+
+    def _padded(self, name: str, values: ArrayLike) -> np.ndarray:
+        padded = np.zeros((self._particles, 3), self._dtype)
+        padded[:, : self._dim] = _checked(name, np.asarray(values), (self._particles, self._dim))
+        return padded
+
+
+def read(path: str | Path) -> Run:
+    """The run in the file at `path`; one that is still going, or was killed, counts as interrupted.
+
+    Raises `FileNotFoundError` if there is none, `ValueError` if it is not a run or is damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"there is no run at {path}")
+    if not path.is_file() or not h5py.is_hdf5(path):
+        raise ValueError(f"{path} is not a jaxmps run: it is no HDF5 file, or a damaged one")
+    try:
+        with _layout.open_file(path, "r") as file:
+            fault = _fault(file)
+            fields = {} if fault else _read_fields(file)
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
+    if fault:
+        raise ValueError(f"{path} is not a jaxmps run: {fault}")
+    return Run(**fields, path=path)
+
+
+def _fault(file: Any) -> str | None:
+    if "jaxmps" not in file or "VTKHDF" not in file:
+        return "it has no groups jaxmps and VTKHDF"
+    version = file["jaxmps"].attrs["format"]
+    return None if version == FORMAT else f"its format is {version}, not {FORMAT}"
+
+
+def _read_fields(file: Any) -> dict[str, Any]:
+    root, own = file["VTKHDF"], file["jaxmps"]
+    frames, dim = int(root["Steps"].attrs["NSteps"]), int(own.attrs["dim"])
+    particles = int(root["NumberOfPoints"][0])
+
+    def frames_of(name: str) -> np.ndarray:
+        stored = root[name][: frames * particles]
+        values = stored.reshape(frames, particles, *stored.shape[1:])
+        return np.ascontiguousarray(values[..., :dim]) if stored.ndim == 2 else values
+
+    fields: dict[str, Any] = {name: frames_of(f"PointData/{name}") for name in _layout.CHANGING}
+    fields |= {name: root[f"PointData/{name}"][:] for name in _layout.FIXED}
+    fields |= {"position": frames_of("Points"), "surface": fields["surface"].astype(bool)}
+    fields |= {name: own[name][:frames] for name in ("time", "energy")}
+    fields["spacing"] = float(own.attrs["spacing"])
+    fields["metadata"] = {key: json.loads(text) for key, text in own["metadata"].attrs.items()}
+    if "status" in own.attrs:
+        fields["status"] = Outcome.from_dict(json.loads(own.attrs["status"]))
+        fields["summary"] = json.loads(own.attrs["summary"])
+    else:
+        last = float(fields["time"][-1]) if frames else 0.0
+        fields["status"] = Outcome((Event(int(Status.INTERRUPTED), last, step=frames),))
+    return fields
+
+
+def _reserve(path: Path, overwrite: bool) -> None:
+    for folder in path.parents:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if overwrite and path.is_file():
+        # Not emptied but unlinked: a viewer that has the old file open keeps it whole.
+        path.unlink()
+    try:
+        path.open("xb").close()
+    except FileExistsError:
+        raise FileExistsError(
+            f"{path} exists already: choose another path, or allow it to be overwritten"
+        ) from None
+
+
+def _checked(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    if values.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {values.shape}")
+    return values
+
+
+def _to_json(value: Any) -> str:
+    return json.dumps(value, default=lambda x: x.tolist() if hasattr(x, "tolist") else str(x))

@@ -1,0 +1,153 @@
+"""What a step tells of itself, and the log that a run keeps of it."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxmps._types import Scalar
+from jaxmps.case import Case
+from jaxmps.diagnostics.energy import Energy, mechanical_energy
+from jaxmps.linear import Convergence
+from jaxmps.particles import Kind, Particles
+from jaxmps.status import Event, Status
+
+BITS = (
+    Status.NOT_FINITE,
+    Status.TIME_STEP_TOO_LARGE,
+    Status.TABLE_FULL,
+    Status.NOT_CONVERGED,
+    Status.ESCAPED,
+)
+"""The status bits that a step can raise, in the order of `StepInfo.culprit`."""
+
+
+class StepInfo(NamedTuple):
+    """What a step tells of itself.
+
+    `status`: bits of `Status`; `culprit`: for each of `BITS` the particle it is about; `residual`: true relative
+    residual of the pressure solve; `travel`: largest displacement in spacings; `max_speed` [m/s]; `surface_count`,
+    `escaped`: numbers of particles; `energy` [J/kg]; `dt` [s].
+    """
+
+    status: Int[Array, "*steps"]
+    culprit: Int[Array, "*steps bits"]
+    residual: Float[Array, "*steps"]
+    travel: Float[Array, "*steps"]
+    max_speed: Float[Array, "*steps"]
+    surface_count: Int[Array, "*steps"]
+    escaped: Int[Array, "*steps"]
+    energy: Energy
+    dt: Float[Array, "*steps"]
+
+
+def inspect(
+    case: Case,
+    old: Particles,
+    new: Particles,
+    surface: Bool[Array, " n"],
+    dt: Scalar,
+    convergence: Convergence,
+    overflow: Bool[Array, ""],
+) -> tuple[Particles, StepInfo]:
+    """Takes out the particles that left the domain, wraps periodic axes, and finds what is wrong with a step."""
+    squared_travel = jnp.sum((new.position - old.position) ** 2, axis=-1) / case.spacing**2
+    squared_speed = jnp.sum(new.velocity**2, axis=-1)
+    finite = jnp.isfinite(squared_travel) & jnp.isfinite(squared_speed) & jnp.isfinite(new.pressure)
+    gone = new.fluid & finite & ~case.box.contains(new.position)
+    kept = Particles(
+        position=case.box.wrap(new.position),
+        velocity=jnp.where(gone[:, None], 0.0, new.velocity),
+        pressure=jnp.where(gone, 0.0, new.pressure),
+        kind=jnp.where(gone, jnp.asarray(Kind.REMOVED, new.kind.dtype), new.kind),
+        phase=new.phase,
+    )
+    fastest = jnp.argmax(squared_travel)
+    raised = jnp.stack(
+        [
+            ~jnp.all(finite),
+            squared_travel[fastest] > 1.0,
+            overflow,
+            ~convergence.converged,
+            jnp.any(gone),
+        ]
+    )
+    nobody = jnp.array(-1)
+    culprit = jnp.stack([jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone)])
+    info = StepInfo(
+        status=jnp.sum(jnp.where(raised, jnp.array([int(bit) for bit in BITS]), 0)),
+        culprit=culprit,
+        residual=convergence.residual,
+        travel=jnp.sqrt(squared_travel[fastest]),
+        max_speed=jnp.sqrt(jnp.max(jnp.where(kept.fluid, squared_speed, 0.0))),
+        surface_count=jnp.sum(surface),
+        escaped=jnp.sum(gone),
+        energy=mechanical_energy(kept, case.density, case.gravity),
+        dt=dt,
+    )
+    return kept, info
+
+
+class Log(NamedTuple):
+    """Sums over the steps of a run; of each of `BITS` its number and, of the first, step, time, particle, value."""
+
+    steps: Int[Array, ""]
+    residual: Scalar
+    max_speed: Scalar
+    count: Int[Array, " bits"]
+    step: Int[Array, " bits"]
+    time: Float[Array, " bits"]
+    particle: Int[Array, " bits"]
+    position: Float[Array, "bits d"]
+    value: Float[Array, " bits"]
+
+
+def empty_log(dim: int) -> Log:
+    none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
+    count = jnp.array(0, jnp.int32)
+    place = jnp.zeros((len(BITS), dim))
+    return Log(count, jnp.array(0.0), jnp.array(0.0), none, none, zero, none, place, zero)
+
+
+def extend(
+    log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Particles, time: Scalar, step: Array
+) -> Log:
+    """The log with one more step; `particles` and `time` [s] are those at the step's start."""
+    status, none = info.status, jnp.zeros_like(info.residual)
+    raised = jnp.stack([(status & int(bit)) != 0 for bit in BITS])
+    first = raised & (log.count == 0)
+    amount = jnp.where(jnp.array([bit == Status.ESCAPED for bit in BITS]), info.escaped, 1)
+    value = jnp.stack([none, info.travel, none, info.residual, none])
+    return Log(
+        steps=log.steps + accepted,
+        residual=log.residual + jnp.where(accepted, info.residual, 0.0),
+        max_speed=jnp.where(accepted, jnp.maximum(log.max_speed, info.max_speed), log.max_speed),
+        count=log.count + jnp.where(raised, amount, 0).astype(log.count.dtype),
+        step=jnp.where(first, step, log.step).astype(log.step.dtype),
+        time=jnp.where(first, time, log.time),
+        particle=jnp.where(first, info.culprit, log.particle).astype(log.particle.dtype),
+        position=jnp.where(first[:, None], particles.position[info.culprit], log.position),
+        value=jnp.where(first, value, log.value),
+    )
+
+
+def events(log: Log) -> tuple[Event, ...]:
+    """What a log tells to a person; a full table is repaired and not worth telling."""
+    told = []
+    for i, bit in enumerate(BITS):
+        if not int(log.count[i]) or bit == Status.TABLE_FULL:
+            continue
+        has_place = int(log.particle[i]) >= 0
+        has_value = bit in (Status.TIME_STEP_TOO_LARGE, Status.NOT_CONVERGED)
+        told.append(
+            Event(
+                status=int(bit),
+                time=float(log.time[i]),
+                step=int(log.step[i]),
+                particle=int(log.particle[i]) if has_place else None,
+                position=tuple(float(x) for x in log.position[i]) if has_place else None,
+                value=float(log.value[i]) if has_value else None,
+                count=int(log.count[i]),
+            )
+        )
+    return tuple(told)

@@ -1,0 +1,50 @@
+"""The progress bar of a run: time, Δt, speed, simulated seconds per wall second, and the expected end."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+
+class Meter:
+    """Shows how far a run has come; one that is not visible costs nothing."""
+
+    def __init__(self, progress: Progress | None, until: float):
+        self._progress, self._until = progress, until
+        if progress is not None:
+            self._task = progress.add_task("", total=until, t=0.0, dt=0.0, speed=0.0, rate=0.0)
+
+    def update(self, time: float, dt: float, max_speed: float) -> None:
+        """Time [s], the last Δt [s], the largest speed [m/s]."""
+        if self._progress is None:
+            return
+        elapsed = self._progress.tasks[self._task].elapsed or 0.0
+        rate = time / elapsed if elapsed > 0 else 0.0
+        shown: dict[str, Any] = {"t": time, "dt": dt, "speed": max_speed, "rate": rate}
+        self._progress.update(self._task, completed=time, **shown)
+
+
+@contextmanager
+def meter(until: float, visible: bool | None) -> Iterator[Meter]:
+    """A `Meter` up to the time `until` [s]; by default visible on a terminal and in notebooks."""
+    console = Console(file=sys.stderr) if "ipykernel" not in sys.modules else Console()
+    if visible is None:
+        visible = console.is_terminal or console.is_jupyter
+    if not visible:
+        yield Meter(None, until)
+        return
+    columns = [
+        BarColumn(24),
+        TextColumn("t {task.fields[t]:.3f} s of {task.total:g}"),
+        TextColumn("Δt {task.fields[dt]:.2e} s"),
+        TextColumn("u {task.fields[speed]:.2f} m/s"),
+        TextColumn("{task.fields[rate]:.3g} s/s"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    ]
+    with Progress(*columns, console=console, transient=True) as progress:
+        yield Meter(progress, until)

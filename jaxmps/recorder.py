@@ -1,0 +1,111 @@
+"""Keeps the frames of a run, in memory or in a file, and makes the `Run`."""
+
+import time as clock
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxmps._compilation import jit
+from jaxmps.case import Case
+from jaxmps.description import describe, versions
+from jaxmps.diagnostics.energy import mechanical_energy
+from jaxmps.io import Writer, read
+from jaxmps.monitor import Log
+from jaxmps.particles import Kind
+from jaxmps.run import Run
+from jaxmps.schemes import Scheme
+from jaxmps.status import Outcome
+from jaxmps.stepping import State
+
+_energy = jit(mechanical_energy)
+
+
+class Recorder:
+    """Takes the state at the times of the frames; with `out` it writes each frame at once."""
+
+    def __init__(
+        self,
+        case: Case,
+        scheme: Scheme,
+        settings: dict[str, Any],
+        out: str | Path | None,
+        overwrite: bool,
+    ):
+        self._case, self._began = case, clock.perf_counter()
+        position = case.particles.position
+        self._fixed = {
+            "phase": np.asarray(case.particles.phase),
+            "density": np.asarray(case.density),
+            "spacing": case.spacing,
+        }
+        self._metadata = {
+            "case": {"name": case.name, **dict(case.parameters)},
+            "scheme": {"name": scheme.name, **describe(scheme)},
+            "run": {**settings, "precision": str(position.dtype)},
+            "versions": versions(),
+        }
+        self._frames: list[dict[str, Any]] = []
+        self._writer = None
+        if out is not None:
+            frames = round(settings["until"] / settings["save_every"]) + 1
+            self._writer = Writer(
+                out,
+                **self._fixed,
+                dim=case.dim,
+                dtype=position.dtype,
+                metadata=self._metadata,
+                overwrite=overwrite,
+                frames=frames,
+            )
+
+    def save(self, state: State) -> None:
+        """Adds the state as a frame."""
+        p = state.particles
+        energy = _energy(p, self._case.density, self._case.gravity)
+        frame: dict[str, Any] = jax.device_get(
+            {
+                "position": p.position,
+                "velocity": p.velocity,
+                "pressure": p.pressure,
+                "number_density": state.number_density,
+                "surface": state.surface,
+                "kind": p.kind,
+            }
+        )
+        frame["time"] = float(state.time)
+        frame["energy"] = np.array([energy.kinetic, energy.potential], np.float64)
+        if self._writer is None:
+            self._frames.append(frame)
+        else:
+            self._writer.append(**frame)
+        self._ends = [*getattr(self, "_ends", [])[:1], frame["energy"]]
+
+    def finish(self, state: State, log: Log, outcome: Outcome) -> Run:
+        """The run, with its summary."""
+        seconds = clock.perf_counter() - self._began
+        steps, kind = int(log.steps), np.asarray(state.particles.kind)
+        summary = {
+            "case": self._case.name,
+            "scheme": self._metadata["scheme"]["name"],
+            "particles": len(kind),
+            "fluid_particles": int(np.sum(kind == Kind.FLUID)),
+            "steps": steps,
+            "time": float(state.time),
+            "status": str(outcome),
+            "completed": outcome.completed,
+            "energy_start": float(self._ends[0].sum()),
+            "energy_end": float(self._ends[-1].sum()),
+            "max_speed": float(log.max_speed),
+            "mean_residual": float(log.residual) / max(steps, 1),
+            "wall_seconds": seconds,
+            "particle_steps_per_second": steps * len(kind) / seconds,
+        }
+        if self._writer is not None:
+            self._writer.finish(outcome.to_dict(), summary)
+            return read(self._writer.path)
+        columns = {name: np.stack([f[name] for f in self._frames]) for name in self._frames[0]}
+        return Run(
+            **columns, **self._fixed, status=outcome, summary=summary, metadata=self._metadata
+        )

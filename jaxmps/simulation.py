@@ -1,0 +1,234 @@
+"""Running a case: `start` and the pure `rollout`; `simulate` is the host's loop around compiled chunks of steps."""
+
+import math
+import time as clock
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from jaxmps._compilation import jit
+from jaxmps._types import ArrayLike, Scalar
+from jaxmps.case import Case
+from jaxmps.kernels import lattice
+from jaxmps.monitor import Log, StepInfo, empty_log, events, extend
+from jaxmps.neighbors import SKIN, allocate, grow
+from jaxmps.progress import Meter, meter
+from jaxmps.recorder import Recorder
+from jaxmps.run import Run
+from jaxmps.schemes import Scheme
+from jaxmps.status import FATAL, Event, Outcome, SimulationWarning, Status
+from jaxmps.stepping import State, largest_step, step
+from jaxmps.validation import positive
+
+_CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the progress bar
+
+
+def start(
+    case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None
+) -> State:
+    """The state at t = 0 with its neighbor list allocated. Not for use under jit.
+
+    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default a quarter
+    more than are filled at the start.
+    """
+    positive("skin", skin, "spacings")
+    position = case.particles.position
+    cutoff = scheme.ratio * case.spacing
+    neighbors = allocate(position, case.box, cutoff, skin * case.spacing, capacity)
+    n = position.shape[0]
+    zero = jnp.zeros((), position.dtype)
+    return State(
+        particles=case.particles,
+        neighbors=neighbors,
+        number_density=jnp.zeros(n, position.dtype),
+        surface=jnp.zeros(n, bool),
+        time=zero,
+        step=jnp.zeros((), jnp.int32),
+    )
+
+
+def rollout(
+    case: Case,
+    scheme: Scheme,
+    start: State,
+    *,
+    steps: int,
+    dt: ArrayLike | None = None,
+    key: Key[Array, ""] | None = None,
+) -> tuple[State, StepInfo]:
+    """The state after a fixed number of steps, and the `StepInfo` of each: pure, for grad, vmap and jit.
+
+    `dt` [s], by default the largest that the scheme allows at each step. The key of step k is `fold_in(key, k)`. The
+    capacity of the list is that of `start`: look for `Status.TABLE_FULL` in `info.status`.
+    """
+    key = jax.random.key(0) if key is None else key
+    return _scan(case, scheme, start, None if dt is None else jnp.asarray(dt, float), key, steps)
+
+
+def _rollout(case, scheme, start, dt, key, steps):
+    def body(state: State, _):
+        largest = largest_step(case, scheme, state.particles) if dt is None else dt
+        return step(case, scheme, state, largest, jax.random.fold_in(key, state.step))
+
+    return jax.lax.scan(body, start, None, length=steps)
+
+
+_scan = jit(_rollout, static_argnums=(5,))
+
+
+def simulate(
+    case: Case,
+    scheme: Scheme,
+    *,
+    until: float,
+    save_every: float | None = None,
+    dt: float | None = None,
+    key: Key[Array, ""] | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    start: State | None = None,
+) -> Run:
+    """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
+
+    Steps are as large as the scheme allows, or `dt` [s], shortened evenly to meet the times of the frames. A neighbor
+    table that is too small is enlarged and the step repeated. With `out` the frames go to a VTKHDF file as they are
+    made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
+    state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
+    same way. `start` carries on from another state.
+
+    Raises `ValueError` for times that are not positive and `FileExistsError` for an existing file.
+    """
+    until = positive("until", until, "s")
+    save_every = until if save_every is None else positive("save_every", save_every, "s")
+    save_every = min(save_every, until)
+    fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
+    key = jax.random.key(0) if key is None else key
+    state = _start(case, scheme) if start is None else start
+    _check_time_step(case, scheme, state, fixed)
+    settings = {"until": until, "save_every": save_every, "dt": dt}
+    settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
+    recorder = Recorder(case, scheme, settings, out, overwrite)
+    loop = _Loop(case, scheme, state, fixed, key)
+    recorder.save(state)
+    frames = math.ceil(until / save_every - 1e-9)
+    with meter(until, progress) as bar:
+        try:
+            for frame in range(1, frames + 1):
+                loop.reach(min(frame * save_every, until), bar)
+                recorder.save(loop.state)
+                if loop.outcome.flags & FATAL:
+                    break
+        except KeyboardInterrupt:
+            recorder.save(loop.state)
+            loop.note(Status.INTERRUPTED)
+    outcome = loop.outcome
+    if outcome.events:
+        warnings.warn(str(outcome), SimulationWarning, stacklevel=2)
+    return recorder.finish(loop.state, loop.log, outcome)
+
+
+_start = start  # `simulate` has an argument of that name
+
+
+class _Clock(NamedTuple):
+    """Time to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results."""
+
+    duration: Scalar
+    elapsed: Scalar
+    dt: Scalar
+
+
+class _Loop:
+    """The host's loop: chunks of compiled steps, with repair of the neighbor table in between."""
+
+    def __init__(self, case: Case, scheme: Scheme, state: State, dt: Scalar | None, key: Array):
+        self.case, self.scheme, self.state, self.dt, self.key = case, scheme, state, dt, key
+        self.log = empty_log(case.dim)
+        self._noted: tuple[Event, ...] = ()
+        self._chunk = 16
+        full = lattice(scheme.ratio, case.dim).neighbors
+        self._most = min(40 * full, len(case.particles.kind))
+
+    @property
+    def outcome(self) -> Outcome:
+        return Outcome(events(self.log) + self._noted)
+
+    def note(self, bit: Status) -> None:
+        event = Event(int(bit), float(self.state.time), int(self.state.step))
+        self._noted = (*self._noted, event)
+
+    def reach(self, target: float, bar: Meter) -> None:
+        """Steps until the time `target` [s], or to the last good state before a failure."""
+        begin = float(self.state.time)
+        zero = jnp.zeros((), self.state.time.dtype)
+        timer = _Clock(zero + (target - begin), zero, zero)
+        while float(timer.elapsed) < float(timer.duration):
+            began = clock.perf_counter()
+            carry = (self.state, timer, self.log)
+            carry, status = _advance(
+                self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk)
+            )
+            self.state, timer, self.log = carry
+            bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
+            if int(status) & FATAL:
+                return
+            if int(status) & Status.TABLE_FULL and not self._enlarge():
+                return
+            seconds = clock.perf_counter() - began
+            self._chunk = int(np.clip(self._chunk * _CHUNK_SECONDS / seconds, 1, min(2 * self._chunk, 4096)))
+        time = jnp.asarray(target, self.state.time.dtype)
+        self.state = eqx.tree_at(lambda s: s.time, self.state, time)
+
+    def _enlarge(self) -> bool:
+        neighbors = grow(self.state.neighbors, self.state.particles.position)
+        if neighbors.capacity > self._most:
+            self.note(Status.CLUSTERED)
+            return False
+        self.state = eqx.tree_at(lambda s: s.neighbors, self.state, neighbors)
+        return True
+
+
+def _advance_chunk(case, scheme, carry, dt, key, most_steps):
+    """Up to `most_steps` steps towards the next frame; a step that fails or finds the table full is not taken."""
+    last = carry[2].steps + most_steps
+    stop = int(FATAL | Status.TABLE_FULL)
+
+    def going(loop):
+        (_, timer, log), status = loop
+        return (timer.elapsed < timer.duration) & (log.steps < last) & ((status & stop) == 0)
+
+    def body(loop):
+        (state, timer, log), _ = loop
+        limit = largest_step(case, scheme, state.particles) if dt is None else dt
+        remaining = timer.duration - timer.elapsed
+        # Equal steps up to the frame: a last tiny one would blow up sources that go as 1 / dt².
+        count = jnp.maximum(jnp.ceil(remaining / limit * (1.0 - 1e-6)), 1.0)
+        now = (remaining / count).astype(remaining.dtype)
+        new, info = step(case, scheme, state, now, jax.random.fold_in(key, state.step))
+        accepted = (info.status & stop) == 0
+        log = extend(log, info, accepted, state.particles, state.time, state.step)
+        elapsed = jnp.where(count > 1, timer.elapsed + now, timer.duration)
+        ahead = (new, _Clock(timer.duration, elapsed, now))
+        state, timer = jax.tree.map(
+            lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer)
+        )
+        return (state, timer, log), info.status
+
+    return jax.lax.while_loop(going, body, (carry, jnp.zeros((), int)))
+
+
+_advance = jit(_advance_chunk)
+
+
+def _check_time_step(case: Case, scheme: Scheme, state: State, dt: Scalar | None) -> None:
+    if dt is None and not np.isfinite(float(largest_step(case, scheme, state.particles))):
+        raise ValueError(
+            "dt must be given (in s) for a case at rest without gravity: the scheme sets no limit"
+        )

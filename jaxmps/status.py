@@ -1,0 +1,109 @@
+"""What can go wrong in a run: status bits that are valid under jit, vmap and scan, and their telling to a person."""
+
+import enum
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+class Status(enum.IntFlag):
+    """Bits of a step's status; zero is well. Those in `FATAL` end a run."""
+
+    NOT_FINITE = 1
+    TIME_STEP_TOO_LARGE = 2
+    TABLE_FULL = 4
+    NOT_CONVERGED = 8
+    ESCAPED = 16
+    INTERRUPTED = 32
+    CLUSTERED = 64
+
+
+FATAL = Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED
+
+MESSAGES = {
+    Status.NOT_FINITE: "position, velocity or pressure is no longer finite",
+    Status.TIME_STEP_TOO_LARGE: "time step too large: a particle moved by more than one spacing in a single step",
+    Status.TABLE_FULL: "the neighbor table is too small",
+    Status.NOT_CONVERGED: "the pressure solve missed its tolerance",
+    Status.ESCAPED: "a particle left the domain and was taken out of the flow",
+    Status.INTERRUPTED: "interrupted before its end",
+    Status.CLUSTERED: "particles have collapsed into clusters: the neighbor table would have to grow without bound",
+}
+
+
+class SimulationError(RuntimeError):
+    """A run that did not reach its end, raised by `Outcome.check`."""
+
+
+class SimulationWarning(UserWarning):
+    """Something in a run that its user should know of."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """The first time [s] at which a status bit was raised: step, particle and place [m], and how often since."""
+
+    status: int
+    time: float
+    step: int
+    particle: int | None = None
+    position: tuple[float, ...] | None = None
+    value: float | None = None
+    count: int = 1
+
+    def __str__(self) -> str:
+        text = f"{MESSAGES[Status(self.status)]}, at t = {self.time:.6g} s (step {self.step}"
+        if self.particle is not None and self.position is not None:
+            place = ", ".join(f"{x:.4g}" for x in self.position)
+            text += f", particle {self.particle} at ({place}) m"
+        if self.value is not None:
+            text += f", {_VALUE_NAMES.get(Status(self.status), 'value')} {self.value:.3g}"
+        return text + (f", {self.count} times in all)" if self.count > 1 else ")")
+
+
+_VALUE_NAMES = {
+    Status.TIME_STEP_TOO_LARGE: "displacement in spacings",
+    Status.NOT_CONVERGED: "relative residual",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: one `Event` for each kind of trouble, none if all went well."""
+
+    events: tuple[Event, ...] = field(default=())
+
+    @property
+    def flags(self) -> Status:
+        flags = Status(0)
+        for event in self.events:
+            flags |= Status(event.status)
+        return flags
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run reached its end; warnings such as a missed tolerance do not count against it."""
+        return not self.flags & (FATAL | Status.INTERRUPTED)
+
+    def check(self) -> None:
+        """Raises `SimulationError` if the run did not reach its end."""
+        if not self.completed:
+            raise SimulationError(str(self))
+
+    def __str__(self) -> str:
+        return "; ".join(str(event) for event in self.events) or "completed"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "completed": self.completed,
+            "message": str(self),
+            "events": [asdict(event) for event in self.events],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Outcome":
+        events = []
+        for entry in data["events"]:
+            place = entry["position"]
+            events.append(Event(**{**entry, "position": None if place is None else tuple(place)}))
+        return cls(tuple(events))

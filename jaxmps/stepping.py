@@ -1,0 +1,88 @@
+"""One time step, in the order of the papers."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxmps._types import Scalar
+from jaxmps.case import Case
+from jaxmps.kernels import lattice
+from jaxmps.monitor import StepInfo, inspect
+from jaxmps.neighbors import Neighbors, pairs, update
+from jaxmps.operators import number_density, pair_weight
+from jaxmps.particles import Particles
+from jaxmps.pressure import poisson_operator, solve_pressure
+from jaxmps.schemes import Scheme
+
+
+class State(eqx.Module):
+    """A flow at an instant: particles, their list, the number density and surface of the last prediction, time [s]."""
+
+    particles: Particles
+    neighbors: Neighbors
+    number_density: Float[Array, " n"]
+    surface: Bool[Array, " n"]
+    time: Scalar
+    step: Int[Array, ""]
+
+
+def step(
+    case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]
+) -> tuple[State, StepInfo]:
+    """The flow after `dt` [s]: explicit prediction, pressure, correction ([N11] §2). Pure and differentiable."""
+    old, density, spacing = state.particles, case.density, case.spacing
+    radius = scheme.ratio * spacing
+    n0, lam = lattice(scheme.ratio, case.dim)[:2]
+    lam = lam * spacing**2
+    moves = old.fluid
+    moving = moves[:, None]
+
+    # Explicit: viscosity, gravity, noise and collisions give u* and r*.
+    neighbors = update(state.neighbors, old.position)
+    near = pairs(neighbors, old, spacing)
+    viscosity = case.fluids.viscosity[old.phase]
+    viscous = scheme.viscosity(
+        old.velocity, viscosity, near, pair_weight(near, radius), n0, lam
+    )
+    u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
+    u = jnp.where(moving, scheme.noise(u, key), u)
+    u = u + scheme.collision(u, near, density, moves, spacing, dt)
+    predicted = eqx.tree_at(
+        lambda p: (p.position, p.velocity), old, (old.position + dt * u, u)
+    )
+
+    # Implicit: the predicted number density gives surface and source, the PPE the pressure.
+    neighbors = update(neighbors, predicted.position)
+    near = pairs(neighbors, predicted, spacing)
+    w = pair_weight(near, radius)
+    n = number_density(w)
+    surface = scheme.free_surface(n, n0) & old.has_pressure
+    unknown = old.has_pressure & ~surface
+    w = jnp.where(old.has_pressure[:, None] & old.has_pressure[near.j], w, 0.0)
+    operator = poisson_operator(near, w, density, unknown, n0, lam)
+    source = scheme.source(n, n0, dt)
+    p, convergence = solve_pressure(
+        operator, source, unknown, old.pressure, scheme.tolerance, scheme.max_iterations
+    )
+    p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
+
+    # Correction: the pressure gradient changes u* and r*.
+    gradient = scheme.gradient(p, near, w, n0)
+    du = jnp.where(moving, -dt * gradient / density[:, None], 0.0)
+    position = predicted.position + dt * du
+    new = Particles(position, u + du, p, old.kind, old.phase)
+    new, info = inspect(case, old, new, surface, dt, convergence, neighbors.overflow)
+    return State(new, neighbors, n, surface, state.time + dt, state.step + 1), info
+
+
+def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:
+    """Δt [s] that the scheme allows at the present velocities; infinite at rest without gravity."""
+    squared_speed = jnp.sum(particles.velocity**2, axis=-1)
+    u_max = jnp.sqrt(jnp.max(jnp.where(particles.fluid, squared_speed, 0.0)))
+    g = jnp.linalg.norm(case.gravity)
+    rule = scheme.time_step
+    courant = jnp.where(u_max > 0, rule.courant * case.spacing / jnp.where(u_max > 0, u_max, 1), jnp.inf)
+    falling = jnp.where(
+        g > 0, rule.gravity_limit * jnp.sqrt(case.spacing / jnp.where(g > 0, g, 1.0)), jnp.inf
+    )
+    return jnp.minimum(courant, falling)
