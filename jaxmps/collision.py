@@ -43,7 +43,7 @@ class PairCollision(AbstractCollision):
     moving pairs is kept; e is the `restitution`.
     """
 
-    distance: Scalar = eqx.field(converter=as_array, default=0.5)
+    distance: Scalar = eqx.field(converter=as_array, default=0.85)
     restitution: Scalar = eqx.field(converter=as_array, default=0.2)
 
     def __call__(self, velocity, pairs, density, moves, spacing, dt):

@@ -18,7 +18,7 @@ class TimeStep(eqx.Module):
     """
 
     courant: Scalar = eqx.field(converter=as_array, default=0.2)
-    gravity_limit: Scalar = eqx.field(converter=as_array, default=0.022)
+    gravity_limit: Scalar = eqx.field(converter=as_array, default=0.044)
 
 
 class Scheme(eqx.Module):
@@ -46,7 +46,7 @@ def mps(
     *,
     relaxation: ArrayLike = 0.2,
     beta: ArrayLike = 0.97,
-    collision_distance: ArrayLike = 0.5,
+    collision_distance: ArrayLike = 0.85,
     restitution: ArrayLike = 0.2,
     courant: ArrayLike = 0.2,
     viscous: bool = False,

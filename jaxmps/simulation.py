@@ -111,16 +111,20 @@ def simulate(
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     key = jax.random.key(0) if key is None else key
     state = _start(case, scheme) if start is None else start
+    begin = float(state.time)
+    if begin >= until:
+        raise ValueError(f"until must exceed the time of the start, {begin:g} s, got {until:g} s")
     _check_time_step(case, scheme, state, fixed)
     settings = {"until": until, "save_every": save_every, "dt": dt}
     settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
     recorder = Recorder(case, scheme, settings, out, overwrite)
     loop = _Loop(case, scheme, state, fixed, key)
     recorder.save(state)
+    first = math.floor(begin / save_every + 1e-6) + 1
     frames = math.ceil(until / save_every - 1e-9)
     with meter(until, progress) as bar:
         try:
-            for frame in range(1, frames + 1):
+            for frame in range(first, frames + 1):
                 loop.reach(min(frame * save_every, until), bar)
                 recorder.save(loop.state)
                 if loop.outcome.flags & FATAL:

@@ -1,0 +1,41 @@
+"""Options and arguments that commands share."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+File = Annotated[Path, typer.Argument(help="A file that `jaxmps run` wrote, or its directory.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that exist.")]
+Color = Annotated[
+    str, typer.Option(help="pressure, speed, phase, number_density, kind or surface.")
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Argument of case or scheme, or value of the scheme such as source.relaxation.",
+    ),
+]
+
+
+def real(text: str) -> Any:
+    """An option that takes a number."""
+    return typer.Option(help=text, parser=_parser(float, "a number"), metavar="NUMBER")
+
+
+def whole(text: str) -> Any:
+    """An option that takes a whole number."""
+    return typer.Option(help=text, parser=_parser(int, "a whole number"), metavar="INTEGER")
+
+
+def _parser(kind: type, rule: str) -> Callable[[Any], Any]:
+    def parse(text: Any) -> Any:
+        try:
+            return kind(text)
+        except ValueError:
+            raise typer.BadParameter(f"must be {rule}, got {text}") from None
+
+    return parse

@@ -1,0 +1,188 @@
+"""Text of the command line made into cases and schemes; `ValueError` says what is wrong with it."""
+
+import dataclasses
+import difflib
+import inspect
+import math
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from operator import attrgetter
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxmps import cases, schemes
+from jaxmps.case import Case
+from jaxmps.description import describe
+from jaxmps.schemes import Scheme
+from jaxmps.validation import between, positive
+
+Factory = Callable[..., Any]
+
+
+def case_factories() -> dict[str, Factory]:
+    """The functions of `jaxmps.cases` that make a case from named arguments alone."""
+    return _factories(cases, Case)
+
+
+def scheme_factories() -> dict[str, Factory]:
+    """The functions of `jaxmps.schemes` that make a scheme from named arguments alone."""
+    return _factories(schemes, Scheme)
+
+
+def choose(what: str, name: str, known: Mapping[str, Any]) -> Any:
+    """The entry of that name; else `ValueError` tells the names."""
+    if name not in known:
+        raise ValueError(f"{what} must be one of {', '.join(known)}, got {name}")
+    return known[name]
+
+
+def arguments(factory: Factory) -> dict[str, inspect.Parameter]:
+    return dict(inspect.signature(factory).parameters)
+
+
+def values_of(scheme: Scheme) -> dict[str, Any]:
+    """The values of a scheme by their dotted names, without its parts."""
+    found = describe(scheme)
+    return {k: v for k, v in found.items() if not isinstance(attrgetter(k)(scheme), eqx.Module)}
+
+
+def build(
+    case: str,
+    scheme: str,
+    spacing: float | None,
+    settings: Iterable[str],
+    jitter: float = 0.0,
+    seed: int = 0,
+) -> tuple[Case, Scheme]:
+    """Case and scheme of these names with `NAME=VALUE` settings; `jitter` in spacings.
+
+    A name may be an argument of the case, of the scheme or, as `ratio`, of both, or a dotted
+    value of the scheme. The case gets the ratio of the scheme if it is not set.
+    """
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"seed must be between 0 and {2**32 - 1}, got {seed}")
+    make_case = choose("case", case, case_factories())
+    make_scheme = choose("scheme", scheme, scheme_factories())
+    texts = _assignments(settings)
+    for_case = _picked(texts, arguments(make_case))
+    for_scheme = _picked(texts, arguments(make_scheme))
+    if spacing is not None:
+        if "spacing" in for_case:
+            raise ValueError("spacing must be given once, got --spacing and --set spacing")
+        for_case["spacing"] = spacing
+    made = make_scheme(**for_scheme)
+    valid = [*arguments(make_case), *arguments(make_scheme), *values_of(made)]
+    for name, text in texts.items():
+        if name not in valid:
+            raise ValueError(
+                f"--set must name an argument of {case} or {scheme}, or a value of the scheme, "
+                f"got {name} ({_hint(name, valid)})"
+            )
+        if name not in for_case and name not in for_scheme:
+            made = _replaced(made, name, name, text)
+    if "ratio" in arguments(make_case):
+        for_case.setdefault("ratio", made.ratio)
+    placed = make_case(**for_case)
+    if between("jitter", jitter, 0.0, 0.3, "spacings"):
+        placed = cases.jitter(placed, jitter, jax.random.key(seed))
+    return placed, made
+
+
+def check_times(until: float, save_every: float, dt: float | None) -> dict[str, Any]:
+    """The times of a run [s] as arguments of `simulate`; `ValueError` unless they are positive."""
+    return {
+        "until": positive("until", until, "s"),
+        "save_every": positive("save-every", save_every, "s"),
+        "dt": None if dt is None else positive("dt", dt, "s"),
+    }
+
+
+def _factories(module: Any, result: type) -> dict[str, Factory]:
+    found = {}
+    for name, function in inspect.getmembers(module, inspect.isfunction):
+        signature = inspect.signature(function)
+        named = all(p.kind is p.KEYWORD_ONLY for p in signature.parameters.values())
+        if named and signature.return_annotation is result and not name.startswith("_"):
+            found[name] = function
+    return found
+
+
+def _assignments(settings: Iterable[str]) -> dict[str, str]:
+    texts: dict[str, str] = {}
+    for setting in settings:
+        name, sign, text = (part.strip() for part in setting.partition("="))
+        if not (name and sign and text):
+            raise ValueError(f"--set must have the form NAME=VALUE, got {setting!r}")
+        if name in texts:
+            raise ValueError(f"{name} must be set once, got {texts[name]} and {text}")
+        texts[name] = text
+    return texts
+
+
+def _picked(texts: Mapping[str, str], known: Mapping[str, inspect.Parameter]) -> dict[str, Any]:
+    return {
+        name: _convert(name, text, _kind(known[name].default, known[name].annotation))
+        for name, text in texts.items()
+        if name in known
+    }
+
+
+def _kind(default: Any, annotation: Any) -> type:
+    """bool, int, str, tuple or float, as the default or, if there is none, the annotation says."""
+    if default is None or default is inspect.Parameter.empty:
+        options = [typing.get_origin(a) or a for a in (annotation, *typing.get_args(annotation))]
+        return next((k for k in (bool, int, float, tuple, str) if k in options), float)
+    if isinstance(default, jax.Array):
+        return tuple if default.ndim else float
+    return next((k for k in (bool, int, str, tuple) if isinstance(default, k)), float)
+
+
+def _convert(name: str, text: str, kind: type) -> Any:
+    if kind is str:
+        return text
+    if kind is bool:
+        if text.lower() not in ("true", "false"):
+            raise ValueError(f"{name} must be true or false, got {text}")
+        return text.lower() == "true"
+    if kind is tuple:
+        return tuple(
+            _number(name, part, "finite numbers with commas in between", text)
+            for part in text.split(",")
+        )
+    value = _number(name, text, "a whole number" if kind is int else "a finite number", text)
+    if kind is int and not value.is_integer():
+        raise ValueError(f"{name} must be a whole number, got {text}")
+    return int(value) if kind is int else value
+
+
+def _number(name: str, part: str, rule: str, text: str) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be {rule}, got {text}")
+    return value
+
+
+def _replaced(module: Any, path: str, name: str, text: str) -> Any:
+    head, _, rest = path.partition(".")
+    old = getattr(module, head)
+    if rest:
+        new = _replaced(old, rest, name, text)
+    else:
+        new = _convert(name, text, _kind(old, type(old)))
+        if isinstance(old, jax.Array):
+            new = jnp.asarray(new, old.dtype)
+            if new.shape != old.shape:
+                raise ValueError(f"{name} must have {old.size} numbers, got {text}")
+    return dataclasses.replace(module, **{head: new})
+
+
+def _hint(name: str, valid: Iterable[str]) -> str:
+    valid = list(dict.fromkeys(valid))
+    close = difflib.get_close_matches(name, valid, n=1)
+    return f"did you mean {close[0]}?" if close else "there are " + ", ".join(valid)

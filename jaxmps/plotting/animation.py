@@ -1,0 +1,112 @@
+"""Animations of runs, as GIF or MP4."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxmps.plotting.flow import Scene
+from jaxmps.run import Run
+from jaxmps.validation import positive
+
+_LAST = 1000  # how long a GIF rests on its last frame, in ms
+
+
+def animate(
+    run: Run,
+    out: str | Path,
+    color: str = "pressure",
+    *,
+    fps: float = 25.0,
+    dpi: float = 100.0,
+    limits: tuple[float, float] | None = None,
+) -> Path:
+    """Writes all frames to `out`, a GIF or, with ffmpeg installed, an MP4; `fps` per second.
+
+    Axes and color scale stay fixed; `limits` are the values at the ends of the scale, by default
+    percentiles of the run. Raises `ValueError` for another suffix, and for an MP4 without ffmpeg.
+    """
+    from matplotlib.animation import FFMpegWriter
+
+    out = Path(out)
+    fps, dpi = positive("fps", fps, "1/s"), positive("dpi", dpi, "1/in")
+    suffix = out.suffix.lower()
+    if suffix not in (".gif", ".mp4") or (suffix == ".mp4" and not FFMpegWriter.isAvailable()):
+        raise ValueError(
+            f"out must end in .gif, or in .mp4 where ffmpeg is installed, got {out.name}"
+        )
+    if not len(run):
+        raise ValueError("run must have frames, got none")
+    scene = Scene(run, color, limits, range(len(run)))
+    scene.figure.set_dpi(dpi)
+    if suffix == ".gif":
+        _write_gif(scene, out, fps)
+    else:
+        writer = FFMpegWriter(fps=fps)  # type: ignore[arg-type]
+        with writer.saving(scene.figure, str(out), dpi):
+            for index in range(len(run)):
+                scene.show(index)
+                writer.grab_frame()
+    return out
+
+
+def _write_gif(scene: Scene, path: Path, fps: float) -> None:
+    # GIF counts in hundredths of a second, and viewers slow down below two.
+    duration = 10 * max(round(100.0 / fps), 2)
+    colors = _palette(scene.colormap)
+    table = _nearest(colors)
+    frames = (_indexed(pixels, colors, table) for pixels in _pictures(scene))
+    durations = [duration] * (len(scene.run) - 1) + [max(duration, _LAST)]
+    next(frames).save(
+        path, save_all=True, append_images=frames, duration=durations, loop=0, disposal=1
+    )
+
+
+def _pictures(scene: Scene) -> Iterator[np.ndarray]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(scene.figure)
+    moving = (scene.fluid, scene.title)
+    flat = scene.axes.name != "3d"
+    if flat:
+        # What stays is drawn once.
+        for artist in moving:
+            artist.set_animated(True)
+        canvas.draw()
+        still = canvas.copy_from_bbox(scene.figure.bbox)
+    for index in range(len(scene.run)):
+        scene.show(index)
+        if flat:
+            canvas.restore_region(still)
+            for artist in moving:
+                scene.axes.draw_artist(artist)
+        else:
+            canvas.draw()
+        yield np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _palette(colormap: Any) -> np.ndarray:
+    """The color map, fading into white, and greys: one palette, so that nothing flickers."""
+    hues = 255.0 * colormap(np.linspace(0.0, 1.0, 64))[:, :3]
+    faded = [hues + (255.0 - hues) * part for part in (0.0, 0.35, 0.7)]
+    greys = np.repeat(np.linspace(0.0, 255.0, 64)[:, None], 3, axis=1)
+    return np.concatenate([*faded, greys]).round().astype(np.uint8)
+
+
+def _nearest(colors: np.ndarray) -> np.ndarray:
+    """Index of the nearest color of the palette for 32 levels of red, green and blue."""
+    levels = np.linspace(0.0, 255.0, 32)
+    distance = [(levels[:, None] - channel) ** 2 for channel in colors.T.astype(float)]
+    red, green, blue = distance
+    flat = [(r + green[:, None] + blue[None]).argmin(axis=-1) for r in red]
+    return np.array(flat, np.uint8)
+
+
+def _indexed(pixels: np.ndarray, colors: np.ndarray, table: np.ndarray) -> Any:
+    from PIL import Image
+
+    red, green, blue = np.moveaxis(pixels >> 3, -1, 0)
+    image = Image.fromarray(table[red, green, blue])
+    image.putpalette(colors.tobytes())
+    return image

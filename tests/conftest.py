@@ -1,0 +1,34 @@
+"""What all tests share: annotations are checked at run time, figures need no screen, numbers are double.
+
+A test for both precisions says `@pytest.mark.parametrize("precision", ["single", "double"], indirect=True)`.
+"""
+
+import os
+from collections.abc import Iterator
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import jax
+import jaxtyping
+import pytest
+
+jaxtyping.install_import_hook("jaxmps", "beartype.beartype")
+
+
+@pytest.fixture(autouse=True)
+def precision(request: pytest.FixtureRequest) -> Iterator[str]:
+    """ "double" unless a test is parametrized otherwise; JAX is set accordingly while the test runs."""
+    name = getattr(request, "param", "double")
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", name == "double")
+    yield name
+    jax.config.update("jax_enable_x64", before)
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Annotations are not checked: for what the package itself says to arguments of a wrong type."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
