@@ -29,7 +29,7 @@ help:
 
 demo: .venv/.installed
 	$(BIN)/jaxmps run dam_break --spacing 0.02 --until 1.0 --save-every 0.02 --out demo --force
-	$(BIN)/jaxmps animate demo/run.vtkhdf
+	$(BIN)/jaxmps animate demo/run.vtkhdf --force
 	@echo "Pictures and animation:"
 	@ls demo/*.png demo/*.gif demo/*.mp4 2>/dev/null | sed 's/^/  /'
 	@echo "Data, for ParaView or PyVista:"

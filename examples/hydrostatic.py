@@ -46,15 +46,15 @@ def profile(run: mps.Run, settled: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main(
-    spacing: float = 0.01,
-    spacing_3d: float = 0.0125,
+    spacing: float = 0.02,
+    height: float = 0.4,
     until: float = 1.0,
     out: str = "out/hydrostatic",
 ) -> dict[str, Rest]:
     """Runs both tanks, prints the table and draws the profiles."""
     tanks = {
-        "2-D": mps.cases.hydrostatic(spacing=spacing, length=0.3, height=0.3),
-        "3-D": mps.cases.hydrostatic(spacing=spacing_3d, length=0.2, depth=0.2, height=0.3),
+        "2-D": mps.cases.hydrostatic(spacing=spacing, length=height, height=height),
+        "3-D": mps.cases.hydrostatic(spacing=spacing, length=height / 2, depth=height / 2, height=height),
     }
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
@@ -69,7 +69,7 @@ def main(
             f"{result.kinetic:19.2e}"
         )
         elevation, pressure = profile(run, 0.2 * until)
-        ax.plot(mps.cases.hydrostatic_pressure(elevation, 0.3), elevation, "k-", label="ρ g (H − y)")
+        ax.plot(mps.cases.hydrostatic_pressure(elevation, height), elevation, "k-", label="ρ g (H − y)")
         ax.plot(pressure, elevation, "o", ms=4, label="standard MPS, mean")
         ax.set(title=f"{name}, {run.position.shape[1]} particles", xlabel="pressure [Pa]")
         ax.legend()

@@ -1,26 +1,50 @@
 """Differentiable, vectorised MPS (Moving Particle Semi-implicit) for incompressible free-surface flow, in JAX."""
 
-from jaxmps import cases as cases
-from jaxmps import diagnostics as diagnostics
-from jaxmps import operators as operators
-from jaxmps import schemes as schemes
-from jaxmps.box import Box as Box
-from jaxmps.case import Case as Case
-from jaxmps.io import read as read
-from jaxmps.monitor import StepInfo as StepInfo
-from jaxmps.particles import Fluid as Fluid
-from jaxmps.particles import Kind as Kind
-from jaxmps.particles import Particles as Particles
-from jaxmps.run import Run as Run
-from jaxmps.schemes import Scheme as Scheme
-from jaxmps.simulation import rollout as rollout
-from jaxmps.simulation import simulate as simulate
-from jaxmps.simulation import start as start
-from jaxmps.status import Outcome as Outcome
-from jaxmps.status import SimulationError as SimulationError
-from jaxmps.status import SimulationWarning as SimulationWarning
-from jaxmps.status import Status as Status
-from jaxmps.stepping import State as State
-from jaxmps.stepping import step as step
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from jaxmps import cases as cases
+    from jaxmps import diagnostics as diagnostics
+    from jaxmps import operators as operators
+    from jaxmps import plotting as plotting
+    from jaxmps import schemes as schemes
+    from jaxmps.box import Box as Box
+    from jaxmps.case import Case as Case
+    from jaxmps.io import read as read
+    from jaxmps.monitor import StepInfo as StepInfo
+    from jaxmps.particles import Fluid as Fluid
+    from jaxmps.particles import Kind as Kind
+    from jaxmps.particles import Particles as Particles
+    from jaxmps.run import Run as Run
+    from jaxmps.schemes import Scheme as Scheme
+    from jaxmps.simulation import rollout as rollout
+    from jaxmps.simulation import simulate as simulate
+    from jaxmps.simulation import start as start
+    from jaxmps.status import Outcome as Outcome
+    from jaxmps.status import SimulationError as SimulationError
+    from jaxmps.status import SimulationWarning as SimulationWarning
+    from jaxmps.status import Status as Status
+    from jaxmps.stepping import State as State
+    from jaxmps.stepping import step as step
 
 __version__ = "0.1.0"
+
+# The same names, imported at their first use: `jaxmps --help` does not wait for JAX.
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submodules=("cases", "diagnostics", "operators", "plotting", "schemes"),
+    submod_attrs={
+        "box": ["Box"],
+        "case": ["Case"],
+        "io": ["read"],
+        "monitor": ["StepInfo"],
+        "particles": ["Fluid", "Kind", "Particles"],
+        "run": ["Run"],
+        "schemes": ["Scheme"],
+        "simulation": ["rollout", "simulate", "start"],
+        "status": ["Outcome", "SimulationError", "SimulationWarning", "Status"],
+        "stepping": ["State", "step"],
+    },
+)

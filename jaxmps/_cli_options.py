@@ -8,9 +8,7 @@ import typer
 
 File = Annotated[Path, typer.Argument(help="A file that `jaxmps run` wrote, or its directory.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that exist.")]
-Color = Annotated[
-    str, typer.Option(help="pressure, speed, phase, number_density, kind or surface.")
-]
+Color = Annotated[str, typer.Option(help="pressure, speed, phase, number_density, kind or surface.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option(

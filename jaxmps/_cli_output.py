@@ -52,9 +52,7 @@ def prepare(folder: Path, stale: Iterable[Path] = ()) -> None:
         for path in stale:
             path.unlink(missing_ok=True)
     except OSError as error:
-        raise OSError(
-            f"out must lie in a directory that can be written, got {folder} ({error.strerror})"
-        ) from error
+        raise OSError(f"out must lie in a directory that can be written, got {folder} ({error.strerror})") from error
 
 
 def open_run(file: Path) -> tuple[Path, "Run"]:
@@ -82,16 +80,18 @@ def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
     print_table("result", {key: _with_unit(key, value) for key, value in summary.items()})
     for path in paths.values():
         print(path)
-    fatal = FATAL | Status.INTERRUPTED
-    for event in result.status.events:
-        if not event.status & fatal:
-            say("warning", str(event))
+    return _verdict(result, f"{len(result)} frames are in {paths['run.vtkhdf']}")
+
+
+def _verdict(result: "Run", kept: str) -> int:
+    """One line for what ended the run, or else one for each thing that its user should know."""
+    events, ends = result.status.events, FATAL | Status.INTERRUPTED
     if result.status.completed:
+        for event in events:
+            say("warning", str(event))
         return 0
-    ends = Outcome(tuple(event for event in result.status.events if event.status & fatal))
-    stopped = bool(ends.flags & Status.INTERRUPTED)
-    kept = f"{len(result)} frames are in {paths['run.vtkhdf']}"
-    return fail(f"{ends}; {kept}", INTERRUPTED if stopped else FAILED)
+    cause = Outcome(tuple(event for event in events if event.status & ends))
+    return fail(f"{cause}; {kept}", FAILED if cause.flags & FATAL else INTERRUPTED)
 
 
 def tell(result: "Run") -> None:
@@ -121,9 +121,7 @@ def tell(result: "Run") -> None:
 def catalog(what: str, factories: Mapping[str, Callable[..., Any]], name: str | None) -> None:
     """Prints a table of functions and their arguments, or all about one of them."""
     if name is None:
-        table = Table(
-            "name", "description", "arguments and defaults, in SI units", title=f"{what}s"
-        )
+        table = Table("name", "description", "arguments and defaults, in SI units", title=f"{what}s")
         for known, factory in factories.items():
             table.add_row(known, _first_sentence(factory), _defaults(factory))
         Console().print(table)

@@ -148,10 +148,7 @@ def _convert(name: str, text: str, kind: type) -> Any:
             raise ValueError(f"{name} must be true or false, got {text}")
         return text.lower() == "true"
     if kind is tuple:
-        return tuple(
-            _number(name, part, "finite numbers with commas in between", text)
-            for part in text.split(",")
-        )
+        return tuple(_number(name, part, "finite numbers with commas in between", text) for part in text.split(","))
     value = _number(name, text, "a whole number" if kind is int else "a finite number", text)
     if kind is int and not value.is_integer():
         raise ValueError(f"{name} must be a whole number, got {text}")

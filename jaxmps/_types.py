@@ -1,5 +1,7 @@
 """Array types and conversions that every module shares."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from jaxtyping import ArrayLike as ArrayLike
@@ -7,8 +9,8 @@ from jaxtyping import ArrayLike as ArrayLike
 Scalar = Float[Array, ""]
 
 
-def as_array(value: ArrayLike) -> Array:
-    """`value` as an array of JAX's default float.
+def as_array(value: Any) -> Array:
+    """`value`, a number, sequence or array, as an array of JAX's default float.
 
     A bare Python float in a module is static: every value of it would be compiled anew.
     """

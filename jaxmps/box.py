@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxmps.validation import number
 
@@ -61,7 +61,7 @@ class Box(eqx.Module):
         inside = lower + jnp.mod(position - lower, jnp.array(self.lengths, position.dtype))
         return jnp.where(jnp.array(self.periodic), inside, position)
 
-    def contains(self, position: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+    def contains(self, position: Float[Array, "*n d"]) -> Bool[Array, "*n"]:
         """Whether a position [m] lies in the box along its open axes. Not finite counts as outside."""
         inside = (position >= jnp.array(self.lower)) & (position < jnp.array(self.upper))
         return jnp.all(inside | jnp.array(self.periodic), axis=-1)

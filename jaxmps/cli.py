@@ -28,7 +28,7 @@ app = typer.Typer(add_completion=False, help="A particle solver for free-surface
 def main(argv: list[str] | None = None) -> int:
     """Runs a command line, by default that of the process, and gives its exit code."""
     command = typer.main.get_command(app)
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    arguments = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     try:
         with command.make_context("jaxmps", arguments) as context:
             return command.invoke(context) or 0
@@ -46,26 +46,30 @@ def main(argv: list[str] | None = None) -> int:
         return fail(f"unexpected {type(error).__name__}: {error}", FAILED)
 
 
-@app.callback(invoke_without_command=True)
-def _top(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
-    if version:
+def _print_version(wanted: bool) -> bool:
+    if wanted:
         from jaxmps import __version__
 
         typer.echo(f"jaxmps {__version__}")
-    elif context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+        raise typer.Exit
+    return wanted
+
+
+@app.callback()
+def _top(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+    ] = False,
+) -> None:
+    pass
 
 
 @app.command()
 def run(
     case: Annotated[str, typer.Argument(help="One of `jaxmps cases`.")],
     scheme: Annotated[str, typer.Option(help="One of `jaxmps schemes`.")] = "mps",
-    spacing: Annotated[
-        float | None, real("Spacing of the particles in m; else the case's.")
-    ] = None,
+    spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
     until: Annotated[float, real("Time in s at which the run ends.")] = 2.0,
     save_every: Annotated[float, real("Time in s from frame to frame.")] = 0.02,
     dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,

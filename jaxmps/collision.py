@@ -41,6 +41,9 @@ class PairCollision(AbstractCollision):
     that their number density passes for that of the interior, and the pressure equation shoots them off. It acts on the
     prediction, before the number density is taken, along the line of centers at the start of the step. Momentum of
     moving pairs is kept; e is the `restitution`.
+
+    Codes in use take 0.5 l0. The default is 0.85: it halves the spurious kinetic energy of a tank at rest and keeps
+    the surge front of a dam break behind 1.2 times the experiment's, which 0.5 exceeds (`examples/`).
     """
 
     distance: Scalar = eqx.field(converter=as_array, default=0.85)

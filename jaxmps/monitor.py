@@ -104,9 +104,8 @@ class Log(NamedTuple):
 
 def empty_log(dim: int) -> Log:
     none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
-    count = jnp.array(0, jnp.int32)
-    place = jnp.zeros((len(BITS), dim))
-    return Log(count, jnp.array(0.0), jnp.array(0.0), none, none, zero, none, place, zero)
+    count, place = jnp.zeros((), jnp.int32), jnp.zeros((len(BITS), dim))
+    return Log(count, jnp.zeros(()), jnp.zeros(()), none, none, zero, none, place, zero)
 
 
 def extend(

@@ -19,6 +19,7 @@ SKIN = 0.3
 """Default reach of the list beyond the cutoff, in spacings; the list is rebuilt after half of it."""
 
 
+_first_tables: dict[tuple, Any] = {}
 _NEIGHBOR_LIST_OVERFLOW = 1  # jax_md.partition.PartitionErrorCode
 
 
@@ -79,6 +80,10 @@ def allocate(
             max_occupancy=capacity,
             error=table.error.update(_NEIGHBOR_LIST_OVERFLOW, lost),
         )
+    # Each allocation makes its own closures, which are part of the type: with those of the first one, what was
+    # compiled for one list serves all of the same size.
+    first = _first_tables.setdefault((box, cutoff, skin, table.cell_list_fn is None), table)
+    table = dataclasses.replace(table, cell_list_fn=first.cell_list_fn, update_fn=first.update_fn)
     return Neighbors(table, box, cutoff, skin)
 
 

@@ -4,7 +4,7 @@ import enum
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from jaxmps._types import as_array
 
@@ -50,7 +50,7 @@ class Particles(eqx.Module):
 
 
 def at_rest(
-    position: Float[Array, "n d"], kind: Int[Array, " n"], phase: Int[Array, " n"] | int = 0
+    position: Float[ArrayLike, "n d"], kind: Int[ArrayLike, " n"], phase: Int[ArrayLike, " n"] | int = 0
 ) -> Particles:
     """Particles without velocity and pressure."""
     position = as_array(position)

@@ -46,6 +46,8 @@ class Recorder:
             "run": {**settings, "precision": str(position.dtype)},
             "versions": versions(),
         }
+        self._times: list[float] = []
+        self._energies: list[float] = []
         self._frames: list[dict[str, Any]] = []
         self._writer = None
         if out is not None:
@@ -61,8 +63,10 @@ class Recorder:
             )
 
     def save(self, state: State) -> None:
-        """Adds the state as a frame."""
-        p = state.particles
+        """Adds the state as a frame, unless it is the last one already."""
+        p, time = state.particles, float(state.time)
+        if self._times and self._times[-1] == time:
+            return
         energy = _energy(p, self._case.density, self._case.gravity)
         frame: dict[str, Any] = jax.device_get(
             {
@@ -74,13 +78,14 @@ class Recorder:
                 "kind": p.kind,
             }
         )
-        frame["time"] = float(state.time)
+        frame["time"] = time
         frame["energy"] = np.array([energy.kinetic, energy.potential], np.float64)
         if self._writer is None:
             self._frames.append(frame)
         else:
             self._writer.append(**frame)
-        self._ends = [*getattr(self, "_ends", [])[:1], frame["energy"]]
+        self._times.append(time)
+        self._energies.append(float(frame["energy"].sum()))
 
     def finish(self, state: State, log: Log, outcome: Outcome) -> Run:
         """The run, with its summary."""
@@ -95,8 +100,8 @@ class Recorder:
             "time": float(state.time),
             "status": str(outcome),
             "completed": outcome.completed,
-            "energy_start": float(self._ends[0].sum()),
-            "energy_end": float(self._ends[-1].sum()),
+            "energy_start": self._energies[0],
+            "energy_end": self._energies[-1],
             "max_speed": float(log.max_speed),
             "mean_residual": float(log.residual) / max(steps, 1),
             "wall_seconds": seconds,

@@ -8,6 +8,7 @@ from jaxmps.free_surface import AbstractFreeSurface, DensityThreshold
 from jaxmps.operators import AbstractGradient, MinPressure
 from jaxmps.pressure import AbstractSource, DensityDeviation
 from jaxmps.stochastic import AbstractVelocityNoise, NoNoise
+from jaxmps.validation import between
 from jaxmps.viscosity import AbstractViscosity, Inviscid, Viscous
 
 
@@ -56,9 +57,22 @@ def mps(
 ) -> Scheme:
     """The standard MPS method ([N11] §2; Koshizuka & Oka 1996) with relaxed source and pair collisions.
 
-    `relaxation` γ of the PPE source, `beta` of the free surface, collisions closer than `collision_distance` l0 with
-    `restitution`, Courant number `courant`; `viscous` adds ν ∇²u.
+    `relaxation` γ of the PPE source (0 to 1), `beta` of the free surface (0 to 1), collisions closer than
+    `collision_distance` l0 (0 to 1) with `restitution` (0 to 1), Courant number `courant` (0 to 1); `viscous` adds
+    ν ∇²u. `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the pressure solve. Raises `ValueError` for a value out
+    of its range.
     """
+    unit = {
+        "relaxation": relaxation,
+        "beta": beta,
+        "collision_distance": collision_distance,
+        "restitution": restitution,
+        "courant": courant,
+    }
+    for argument, value in unit.items():
+        between(argument, value, 0.0, 1.0)
+    between("ratio", ratio, 1.5, 6.0, "spacings")
+    between("tolerance", tolerance, 1e-15, 0.1)
     return Scheme(
         viscosity=Viscous() if viscous else Inviscid(),
         noise=NoNoise(),

@@ -17,7 +17,8 @@ from jaxmps._types import ArrayLike, Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
 from jaxmps.monitor import Log, StepInfo, empty_log, events, extend
-from jaxmps.neighbors import SKIN, allocate, grow
+from jaxmps.neighbors import SKIN, Neighbors, allocate, grow, pairs
+from jaxmps.operators import number_density, pair_weight
 from jaxmps.progress import Meter, meter
 from jaxmps.recorder import Recorder
 from jaxmps.run import Run
@@ -34,23 +35,31 @@ def start(
 ) -> State:
     """The state at t = 0 with its neighbor list allocated. Not for use under jit.
 
-    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default a quarter
-    more than are filled at the start.
+    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default half as
+    many again as a full lattice fills.
     """
     positive("skin", skin, "spacings")
-    position = case.particles.position
-    cutoff = scheme.ratio * case.spacing
-    neighbors = allocate(position, case.box, cutoff, skin * case.spacing, capacity)
-    n = position.shape[0]
-    zero = jnp.zeros((), position.dtype)
+    if capacity is None:
+        capacity = 3 * lattice(scheme.ratio + skin, case.dim).neighbors // 2
+    radius = scheme.ratio * case.spacing
+    neighbors = allocate(case.particles.position, case.box, radius, skin * case.spacing, capacity)
+    n, surface = _first_look(case, scheme, neighbors)
     return State(
         particles=case.particles,
         neighbors=neighbors,
-        number_density=jnp.zeros(n, position.dtype),
-        surface=jnp.zeros(n, bool),
-        time=zero,
+        number_density=n,
+        surface=surface,
+        time=jnp.zeros_like(case.particles.pressure[0]),
         step=jnp.zeros((), jnp.int32),
     )
+
+
+@jit
+def _first_look(case: Case, scheme: Scheme, neighbors: Neighbors) -> tuple[Array, Array]:
+    near = pairs(neighbors, case.particles, case.spacing)
+    n = number_density(pair_weight(near, scheme.ratio * case.spacing))
+    n0 = lattice(scheme.ratio, case.dim).n0
+    return n, scheme.free_surface(n, n0) & case.particles.has_pressure
 
 
 def rollout(

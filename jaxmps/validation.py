@@ -1,51 +1,53 @@
-"""Checks at the door: one error that names the argument, the rule, the unit and the value."""
+"""Checks at the door: one error that names the argument, the rule, the unit and the value.
+
+Numbers may be arrays; inside a transformation, where an argument has no value, there is nothing to check.
+"""
 
 import math
-import numbers
+from typing import Any
+
+import jax
+import numpy as np
 
 
-def number(name: str, value: object, unit: str = "") -> float:
+def number(name: str, value: Any, unit: str = "") -> float:
     """`value` as a finite float, else `ValueError`."""
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value):
-        raise ValueError(f"{name} must be a finite number{_in(unit)}, got {_show(value, unit)}")
-    return float(value)
+    if isinstance(value, jax.core.Tracer):
+        return value  # type: ignore[return-value]
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf" or array.ndim or not math.isfinite(array):
+        raise ValueError(f"{name} must be a finite number{f' in {unit}' if unit else ''}, got {_show(value, unit)}")
+    return float(array)
 
 
-def positive(name: str, value: object, unit: str = "") -> float:
+def positive(name: str, value: Any, unit: str = "") -> float:
     """`value` as a finite float above zero, else `ValueError`."""
-    if number(name, value, unit) <= 0.0:
-        raise ValueError(f"{name} must be greater than zero, got {_show(value, unit)}")
-    return float(value)  # type: ignore[arg-type]
+    return _obey(name, value, unit, lambda x: x > 0.0, "greater than zero")
 
 
-def not_negative(name: str, value: object, unit: str = "") -> float:
+def not_negative(name: str, value: Any, unit: str = "") -> float:
     """`value` as a finite float, zero or above, else `ValueError`."""
-    if number(name, value, unit) < 0.0:
-        raise ValueError(f"{name} must not be negative, got {_show(value, unit)}")
-    return float(value)  # type: ignore[arg-type]
+    return _obey(name, value, unit, lambda x: x >= 0.0, "zero or greater")
 
 
-def between(name: str, value: object, low: float, high: float, unit: str = "") -> float:
+def between(name: str, value: Any, low: float, high: float, unit: str = "") -> float:
     """`value` as a float within `[low, high]`, else `ValueError`."""
-    if not low <= number(name, value, unit) <= high:
-        limits = f"between {low:g} and {high:g}{' ' + unit if unit else ''}"
-        raise ValueError(f"{name} must be {limits}, got {_show(value, unit)}")
-    return float(value)  # type: ignore[arg-type]
+    limits = f"between {low:g} and {high:g}{' ' + unit if unit else ''}"
+    return _obey(name, value, unit, lambda x: low <= x <= high, limits)
 
 
-def at_most(name: str, value: float, limit_name: str, limit: float, unit: str) -> None:
-    """`ValueError` unless `value` is at most `limit`."""
-    if value > limit:
-        raise ValueError(
-            f"{name} must be at most {limit_name} ({limit:g} {unit}), got {_show(value, unit)}"
-        )
+def at_most(name: str, value: Any, limit_name: str, limit: float, unit: str) -> float:
+    """`value` as a float of at most `limit`, else `ValueError`."""
+    return _obey(name, value, unit, lambda x: x <= limit, f"at most {limit_name} ({limit:g} {unit})")
 
 
-def _in(unit: str) -> str:
-    return f" in {unit}" if unit else ""
+def _obey(name: str, value: Any, unit: str, rule: Any, words: str) -> float:
+    checked = number(name, value, unit)
+    if not isinstance(checked, jax.core.Tracer) and not rule(checked):
+        raise ValueError(f"{name} must be {words}, got {_show(value, unit)}")
+    return checked
 
 
-def _show(value: object, unit: str) -> str:
+def _show(value: Any, unit: str) -> str:
     shown = f"{value:g}" if isinstance(value, float) else repr(value)
     return f"{shown} {unit}".rstrip()

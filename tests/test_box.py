@@ -51,9 +51,7 @@ def test_displacement_goes_to_the_nearest_image():
         [[-0.1, -0.1], [0.1, 0.1], [0.9, 1.4], [-0.3, 0.2]],
         atol=1e-15,
     )
-    np.testing.assert_allclose(
-        HALF.displacement(r_ij), [[-0.1, 2.9], [0.1, -2.9], [0.9, 1.4], [-0.3, 0.2]], atol=1e-15
-    )
+    np.testing.assert_allclose(HALF.displacement(r_ij), [[-0.1, 2.9], [0.1, -2.9], [0.9, 1.4], [-0.3, 0.2]], atol=1e-15)
     np.testing.assert_array_equal(OPEN.displacement(r_ij), r_ij)
 
 

@@ -46,8 +46,8 @@ def test_lattice_constants_are_sums_of_the_weight_over_a_lattice(dim, ratio):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_second_moment_tends_to_its_integral_for_a_large_radius(dim):
-    # Integrals over a disk and a ball: 2 pi r_e^4 / 12 and 4 pi r_e^5 / 20. The lattice sum of a function with a kink at
-    # its rim is off by about (l0 / r_e)^2 relative to the integral.
+    # Integrals over a disk and a ball: 2 pi r_e^4 / 12 and 4 pi r_e^5 / 20. The lattice sum of a function with a kink
+    # at its rim is off by about (l0 / r_e)^2 relative to the integral.
     ratio = 20.0
     n0, lam, _ = lattice(ratio, dim)
     integral = {2: 2 * math.pi * ratio**4 / 12, 3: 4 * math.pi * ratio**5 / 20}[dim]

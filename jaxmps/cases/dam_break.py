@@ -52,12 +52,12 @@ def dam_break(
 
 def dam_break_3d(
     *,
-    spacing: float = 0.025,
+    spacing: float = 0.02,
     width: float = 0.3,
     depth: float = 0.4,
     height: float = 0.4,
     tank_length: float = 1.0,
-    tank_height: float = 0.6,
+    tank_height: float = 0.5,
     gravity: float = 9.81,
     density: float = WATER["density"],
     viscosity: float = WATER["viscosity"],
@@ -65,7 +65,7 @@ def dam_break_3d(
 ) -> Case:
     """A dam break in a tank of three dimensions, x along the tank, y across (`depth`), z upward; else as `dam_break`.
 
-    The column spans the tank from side wall to side wall; the defaults make about 20 000 particles, walls included.
+    The column spans the tank from side wall to side wall; the defaults make 22 000 particles, 6000 of them fluid.
     """
     lengths = _check_lengths(
         spacing=spacing, width=width, height=height, tank_length=tank_length, tank_height=tank_height

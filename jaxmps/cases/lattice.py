@@ -1,6 +1,6 @@
 """Particles on a lattice: fluid blocks in tanks with a wall layer and dummy layers."""
 
-import itertools
+import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -18,6 +18,9 @@ from jaxmps.validation import between
 
 WATER = {"density": 1000.0, "viscosity": 1e-6}
 """kg/m³ and m²/s."""
+
+
+_MOST_POINTS = 50_000_000  # more than any single device runs: a mistyped spacing, not a plan
 
 
 def dummy_layers(ratio: float) -> int:
@@ -48,7 +51,10 @@ def block_in_tank(
         for size, wraps in zip(inside[:-1], periodic[:-1], strict=True)
     ]
     ranges.append(range(-thick, max(wall_height, block[-1])))
-    points = np.array(list(itertools.product(*ranges)))
+    total = math.prod(len(r) for r in ranges)
+    if total > _MOST_POINTS:
+        raise ValueError(f"spacing must leave at most {_MOST_POINTS:.0e} lattice points in the tank, got {total:.1e}")
+    points = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
     limits = np.array([*(size - 1 for size in inside[:-1]), np.iinfo(int).max])
     depth = np.maximum(np.maximum(-points, points - limits), 0).max(axis=1)
     fluid = np.all((points >= 0) & (points < np.array(block)), axis=1)
@@ -108,4 +114,6 @@ def jitter(case: Case, amplitude: float, key: Key[Array, ""]) -> Case:
     shift = jax.random.uniform(key, particles.position.shape, minval=-1.0, maxval=1.0)
     shift = amplitude * case.spacing * shift.astype(particles.position.dtype)
     position = jnp.where(particles.fluid[:, None], particles.position + shift, particles.position)
-    return eqx.tree_at(lambda c: c.particles.position, case, case.box.wrap(position))
+    particles = eqx.tree_at(lambda p: p.position, particles, case.box.wrap(position))
+    parameters = dict(case.parameters, jitter=amplitude)
+    return dataclasses.replace(case, particles=particles, parameters=tuple(parameters.items()))

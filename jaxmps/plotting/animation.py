@@ -33,9 +33,7 @@ def animate(
     fps, dpi = positive("fps", fps, "1/s"), positive("dpi", dpi, "1/in")
     suffix = out.suffix.lower()
     if suffix not in (".gif", ".mp4") or (suffix == ".mp4" and not FFMpegWriter.isAvailable()):
-        raise ValueError(
-            f"out must end in .gif, or in .mp4 where ffmpeg is installed, got {out.name}"
-        )
+        raise ValueError(f"out must end in .gif, or in .mp4 where ffmpeg is installed, got {out.name}")
     if not len(run):
         raise ValueError("run must have frames, got none")
     scene = Scene(run, color, limits, range(len(run)))
@@ -58,9 +56,7 @@ def _write_gif(scene: Scene, path: Path, fps: float) -> None:
     table = _nearest(colors)
     frames = (_indexed(pixels, colors, table) for pixels in _pictures(scene))
     durations = [duration] * (len(scene.run) - 1) + [max(duration, _LAST)]
-    next(frames).save(
-        path, save_all=True, append_images=frames, duration=durations, loop=0, disposal=1
-    )
+    next(frames).save(path, save_all=True, append_images=frames, duration=durations, loop=0, disposal=1)
 
 
 def _pictures(scene: Scene) -> Iterator[np.ndarray]:
@@ -88,9 +84,9 @@ def _pictures(scene: Scene) -> Iterator[np.ndarray]:
 
 def _palette(colormap: Any) -> np.ndarray:
     """The color map, fading into white, and greys: one palette, so that nothing flickers."""
-    hues = 255.0 * colormap(np.linspace(0.0, 1.0, 64))[:, :3]
-    faded = [hues + (255.0 - hues) * part for part in (0.0, 0.35, 0.7)]
-    greys = np.repeat(np.linspace(0.0, 255.0, 64)[:, None], 3, axis=1)
+    hues = 255.0 * colormap(np.linspace(0.0, 1.0, 48))[:, :3]
+    faded = [hues + (255.0 - hues) * part for part in (0.0, 0.5)]
+    greys = np.repeat(np.linspace(0.0, 255.0, 24)[:, None], 3, axis=1)
     return np.concatenate([*faded, greys]).round().astype(np.uint8)
 
 

@@ -123,9 +123,7 @@ _QUANTITIES = {
         _listed(_WATER, _AMBER, _GREEN, _PURPLE),
         _phases,
     ),
-    "number_density": Quantity(
-        "number density [–]", lambda run, k: run.number_density[k], _named("viridis")
-    ),
+    "number_density": Quantity("number density [–]", lambda run, k: run.number_density[k], _named("viridis")),
     "kind": Quantity(
         "kind",
         lambda run, k: run.kind[k],

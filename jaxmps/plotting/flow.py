@@ -55,18 +55,14 @@ class Scene:
         self.run, self._shown = run, quantity(color)
         self._solid = run.position.shape[2] == 3
         if ax is not None and (ax.name == "3d") != self._solid:
-            raise ValueError(
-                f"ax must have the projection 3d for runs in 3-D only, got {ax.name!r}"
-            )
+            raise ValueError(f"ax must have the projection 3d for runs in 3-D only, got {ax.name!r}")
         self.colormap, self._norm, extend = scale(run, self._shown, limits, frames)
         low, high = _extent(run, frames)
         self.axes = _axes(low, high) if ax is None else ax
         self.figure: Any = self.axes.figure
         self._ever = np.flatnonzero(run.fluid.any(axis=0))
         mapped = {"cmap": self.colormap, "norm": self._norm}
-        self.fluid = (_solid if self._solid else _flat)(
-            self.axes, run, self._ever, low, high, mapped
-        )
+        self.fluid = (_solid if self._solid else _flat)(self.axes, run, self._ever, low, high, mapped)
         self.title = self.axes.set_title("", loc="left", fontsize=11)
         self._color_bar(extend)
         step = np.diff(run.time).min() if len(run) > 1 else 0.0
@@ -158,17 +154,13 @@ def _axes(low: np.ndarray, high: np.ndarray) -> Any:
     return new_figure(width, height).add_axes(place)
 
 
-def _flat(
-    axes: Any, run: Run, ever: np.ndarray, low: np.ndarray, high: np.ndarray, mapped: dict[str, Any]
-) -> Any:
+def _flat(axes: Any, run: Run, ever: np.ndarray, low: np.ndarray, high: np.ndarray, mapped: dict[str, Any]) -> Any:
     from matplotlib.collections import EllipseCollection
 
     def discs(offsets: np.ndarray, **style: Any) -> Any:
         sizes = ([run.spacing], [run.spacing], [0.0])
         return axes.add_collection(
-            EllipseCollection(
-                *sizes, units="x", offsets=offsets, offset_transform=axes.transData, lw=0, **style
-            ),
+            EllipseCollection(*sizes, units="x", offsets=offsets, offset_transform=axes.transData, lw=0, **style),
             autolim=False,
         )
 
@@ -182,9 +174,7 @@ def _flat(
     return discs(run.position[0][ever], array=np.zeros(len(ever)), **mapped)
 
 
-def _solid(
-    axes: Any, run: Run, ever: np.ndarray, low: np.ndarray, high: np.ndarray, mapped: dict[str, Any]
-) -> Any:
+def _solid(axes: Any, run: Run, ever: np.ndarray, low: np.ndarray, high: np.ndarray, mapped: dict[str, Any]) -> Any:
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 

@@ -1,0 +1,308 @@
+"""The command line, called in this process: each run compiles once, for all tests."""
+
+import contextlib
+import dataclasses
+import io
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import pytest
+
+from jaxmps._cli_output import conclude
+from jaxmps._cli_values import build, case_factories, scheme_factories
+from jaxmps.cli import main
+from jaxmps.io import read
+from jaxmps.recorder import Recorder
+from jaxmps.status import Event, Outcome, Status
+
+# A fixed time step of any size runs the same compiled code.
+TINY = ("run", "dam_break", "--spacing", "0.1", "--dt", "0.005")
+FILES = {"run.vtkhdf", "summary.json", "final.png"}
+
+
+class Result(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+def call(*argv: object) -> Result:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(argument) for argument in argv])
+    return Result(code, out.getvalue(), err.getvalue())
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(autouse=True)
+def precision_is_restored() -> Iterator[None]:
+    before = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """A run that went well: its directory, and what the command said."""
+    before = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    folder = tmp_path_factory.mktemp("runs") / "made" / "here"
+    result = call(*TINY, "--until", 0.05, "--seed", 7, "--out", folder)
+    jax.config.update("jax_enable_x64", before)
+    return folder, result
+
+
+@pytest.fixture
+def copy(finished: tuple[Path, Result], tmp_path: Path, monkeypatch) -> Path:
+    """A copy of that directory in the current one."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(finished[0], tmp_path / "copy")
+    return Path("copy")
+
+
+def test_run_writes_file_summary_and_picture(finished):
+    folder, result = finished
+    assert (result.code, result.err) == (0, "")
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert all(str(folder / name) in result.out for name in FILES)
+    run = read(folder / "run.vtkhdf")
+    assert run.time == pytest.approx([0.0, 0.02, 0.04, 0.05])
+    assert run.position.dtype == "float64"
+    assert run.metadata["run"]["key"] == [0, 7]
+    assert run.status.completed
+
+
+def test_summary_is_json_with_what_was_counted(finished):
+    summary = json.loads((finished[0] / "summary.json").read_text())
+    assert summary["status"] == "completed"
+    assert (summary["particles"], summary["fluid_particles"]) == (251, 50)
+    assert set(summary) >= {
+        *("case", "scheme", "particles", "fluid_particles", "steps", "time", "status"),
+        *("energy_start", "energy_end", "max_speed", "mean_residual", "wall_seconds"),
+        "particle_steps_per_second",
+    }
+
+
+FAULTS = [
+    ("run", "missing argument case"),
+    ("runn", "runn"),
+    ("run dam_brake", "case dam_brake dam_break hydrostatic"),
+    ("run dam_break --scheme msp", "scheme msp mps"),
+    ("run dam_break --sapcing 0.1", "--sapcing --spacing"),
+    ("run dam_break --set widht=0.4", "widht width"),
+    ("run dam_break --set elephants=4", "elephants width source.relaxation"),
+    ("run dam_break --set width", "NAME=VALUE width"),
+    ("run dam_break --set =3", "NAME=VALUE =3"),
+    ("run dam_break --set width=", "NAME=VALUE width="),
+    ("run dam_break --set width=wide", "width number wide"),
+    ("run dam_break --set width=3", "width tank_length 3"),
+    ("run dam_break --set width=0.4,0.5", "width number 0.4,0.5"),
+    ("run dam_break --set width=0.4 --set width=0.5", "width once 0.4 0.5"),
+    ("run dam_break --spacing 0.1 --set spacing=0.2", "spacing once"),
+    ("run dam_break --set viscosity=nan", "viscosity finite nan"),
+    ("run dam_break --set relaxation=nan", "relaxation finite nan"),
+    ("run dam_break --set source.relaxation=inf", "source.relaxation finite inf"),
+    ("run dam_break --set clip_pressure=maybe", "clip_pressure true false maybe"),
+    ("run dam_break --set max_iterations=1.5", "max_iterations whole 1.5"),
+    ("run dam_break --spacing 0", "spacing greater 0"),
+    ("run dam_break --spacing -0.1", "spacing greater -0.1"),
+    ("run dam_break --spacing nan", "spacing finite nan"),
+    ("run dam_break --spacing fine", "spacing number fine"),
+    ("run dam_break --until 0", "until greater 0"),
+    ("run dam_break --until inf", "until finite inf"),
+    ("run dam_break --save-every -1", "save-every greater -1"),
+    ("run dam_break --dt nan", "dt finite nan"),
+    ("run dam_break --seed -1", "seed between -1"),
+    ("run dam_break --seed 1.5", "seed whole 1.5"),
+    ("run dam_break --jitter nan", "jitter finite nan"),
+    ("run dam_break --jitter 0.5", "jitter between 0.5"),
+    ("run dam_break --precision half", "precision single double half"),
+    ("run dam_break --out copy", "copy/run.vtkhdf exists --force"),
+    ("run dam_break --out copy/final.png", "out directory copy/final.png"),
+    ("cases dam_brake", "case dam_brake dam_break"),
+    ("schemes msp", "scheme msp mps"),
+    ("show nowhere.vtkhdf", "file exist nowhere.vtkhdf"),
+    ("show copy/final.png", "copy/final.png not a jaxmps run"),
+    ("show copy --frame 4", "frame between 3 4"),
+    ("show copy --frame last", "frame whole last"),
+    ("show copy --color red", "color pressure red"),
+    ("show copy --out copy/final.png", "copy/final.png exists --force"),
+    ("show copy --out copy", "out file copy"),
+    ("show copy --out new.xyz", "xyz png"),
+    ("plot speed copy", "what energy front speed"),
+    ("plot energy copy --out copy/final.png", "copy/final.png exists --force"),
+    ("animate copy --out new.avi", "out .gif new.avi"),
+    ("animate copy --fps 0", "fps greater 0"),
+    ("animate copy --out copy/final.png", "copy/final.png exists --force"),
+]
+
+
+@pytest.mark.parametrize(("line", "words"), FAULTS, ids=[line for line, _ in FAULTS])
+def test_wrong_input_gives_one_line_and_leaves_nothing(copy, line, words):
+    before = contents(Path())
+    result = call(*line.split(" "))
+    assert result.code == 2
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
+    assert not [word for word in words.split() if word.lower() not in result.err.lower()]
+    assert contents(Path()) == before
+
+
+def test_one_line_errors_are_not_wrapped(copy, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "20")
+    assert call("run", "dam_break", "--set", "elephants=4").err.count("\n") == 1
+
+
+@pytest.mark.parametrize("out", ["copy/run.vtkhdf/below", "/proc/nowhere"])
+def test_a_directory_that_cannot_be_written_is_told_before_the_run(copy, out):
+    before = contents(Path())
+    result = call("run", "dam_break", "--spacing", 0.1, "--until", 1e6, "--out", out)
+    assert result.code == 1
+    assert result.err.startswith("error: out must lie in a directory that can be written, got ")
+    assert (out in result.err, result.err.count("\n")) == (True, 1)
+    assert contents(Path()) == before
+
+
+def test_force_replaces_what_is_there(copy):
+    before = contents(copy)
+    result = call(*TINY, "--until", 0.03, "--out", copy, "--force")
+    assert result.code == 0
+    assert read(copy / "run.vtkhdf").time == pytest.approx([0.0, 0.02, 0.03])
+    assert all(after != before[name] for name, after in contents(copy).items())
+
+
+def test_a_time_step_far_too_large_ends_the_run_and_keeps_its_frames(copy):
+    result = call(*TINY[:-1], 0.1, "--until", 1, "--save-every", 0.1, "--out", "failed")
+    assert result.code == 1
+    assert result.err.startswith("error: time step too large: a particle moved")
+    assert all(word in result.err for word in ("t = ", "step ", "particle ", " at (", "frames"))
+    assert result.err.count("\n") == 1
+    run, summary = read("failed/run.vtkhdf"), json.loads(Path("failed/summary.json").read_text())
+    assert len(run) >= 1
+    assert run.status.flags & Status.TIME_STEP_TOO_LARGE
+    assert summary["status"] == str(run.status)
+    assert Path("failed/final.png").stat().st_size > 0
+
+
+def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
+    save, saved = Recorder.save, []
+
+    def save_and_interrupt(recorder, state):
+        save(recorder, state)
+        saved.append(float(state.time))
+        if len(saved) == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Recorder, "save", save_and_interrupt)
+    result = call(*TINY, "--until", 1000, "--save-every", 0.05, "--out", "stopped")
+    assert result.code == 130
+    assert result.err.startswith("error: interrupted before its end, at t = ")
+    assert result.err.count("\n") == 1
+    run = read("stopped/run.vtkhdf")
+    assert list(run.time[:3]) == saved[:3]
+    assert run.status.flags == Status.INTERRUPTED
+    assert {path.name for path in Path("stopped").iterdir()} == FILES
+    assert "interrupted" in json.loads(Path("stopped/summary.json").read_text())["status"]
+
+
+def test_events_that_do_not_end_a_run_are_warnings(copy):
+    event = Event(int(Status.ESCAPED), 0.5, 10, particle=3, position=(0.1, 0.2), count=2)
+    run = dataclasses.replace(read(copy / "run.vtkhdf"), status=Outcome((event,)))
+    err = io.StringIO()
+    with contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()):
+        assert conclude(run, {name: copy / name for name in FILES}) == 0
+    assert err.getvalue() == f"warning: {event}\n"
+
+
+def test_numbers_that_json_does_not_know_become_null(copy):
+    run = read(copy / "run.vtkhdf")
+    run.summary["mean_residual"] = float("nan")
+    with contextlib.redirect_stdout(io.StringIO()):
+        conclude(run, {name: copy / name for name in FILES})
+    assert json.loads((copy / "summary.json").read_text())["mean_residual"] is None
+
+
+def test_show_tells_what_is_in_a_file_and_draws_it(copy):
+    result = call("show", copy, "--frame", 1, "--color", "speed")
+    assert (result.code, result.err) == (0, "")
+    for text in ("dam_break", "tank_length", "source.relaxation", "0.2", "float64", "equinox"):
+        assert text in result.out
+    for text in ("50 fluid", "4, t = 0 to 0.05 s", "completed", "max_speed"):
+        assert text in result.out
+    assert (copy / "run_speed_0001.png").stat().st_size > 0
+    assert call("show", copy, "--frame", 1, "--color", "speed").code == 2
+    assert call("show", copy, "--frame", 1, "--color", "speed", "--force").code == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "made"),
+    [("plot energy", "run_energy.png"), ("plot front", "run_front.png"), ("animate", "run.gif")],
+)
+def test_pictures_lie_next_to_the_file_or_where_they_are_told(copy, command, made):
+    assert call(*command.split(), copy / "run.vtkhdf").out.strip() == str(copy / made)
+    elsewhere = Path("new", "place", made)
+    assert call(*command.split(), copy, "--out", elsewhere).code == 0
+    assert elsewhere.stat().st_size > 0
+
+
+def test_lists_name_all_cases_and_schemes_with_their_arguments():
+    for command, known in (("cases", case_factories()), ("schemes", scheme_factories())):
+        result = call(command)
+        assert result.code == 0
+        assert known
+        assert all(name in result.out for name in known)
+    assert "tank_length" in call("cases", "dam_break").out
+    assert "source.relaxation" in call("schemes", "mps").out
+
+
+def test_every_case_and_scheme_is_built_from_its_defaults():
+    for case in case_factories():
+        for scheme in scheme_factories():
+            made, method = build(case, scheme, 0.1, [])
+            assert (made.name, method.name) == (case, scheme)
+
+
+def test_settings_reach_case_scheme_and_single_values():
+    settings = ["width=0.4", "relaxation=0.1", "time_step.courant=0.05", "clip_pressure=false"]
+    case, scheme = build("dam_break", "mps", 0.1, [*settings, "max_iterations=50"])
+    assert dict(case.parameters)["width"] == 0.4
+    assert float(scheme.source.relaxation) == pytest.approx(0.1)  # type: ignore[attr-defined]
+    assert float(scheme.time_step.courant) == pytest.approx(0.05)
+    assert scheme.clip_pressure is False
+    assert scheme.max_iterations == 50
+
+
+def test_the_case_gets_the_ratio_of_the_scheme():
+    case, scheme = build("dam_break", "mps", 0.1, ["ratio=3.1"])
+    assert dict(case.parameters)["ratio"] == scheme.ratio == 3.1
+
+
+def test_jitter_moves_the_fluid_with_the_seed():
+    places = [
+        build("dam_break", "mps", 0.1, [], jitter=amplitude, seed=seed)[0].particles.position
+        for amplitude, seed in ((0.0, 1), (0.1, 1), (0.1, 1), (0.1, 2))
+    ]
+    assert 0.0 < abs(places[1] - places[0]).max() <= 0.01
+    assert (places[1] == places[2]).all()
+    assert (places[1] != places[3]).any()
+
+
+def test_version_and_help_need_no_arguments():
+    assert call("--version").out.startswith("jaxmps ")
+    assert "animate" in call("--help").out
+    assert call().code == 0
+
+
+def test_help_does_not_wait_for_jax():
+    code = "import sys, jaxmps.cli; jaxmps.cli.main(['--help']); sys.exit('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()

@@ -1,0 +1,193 @@
+"""The host's loop and the pure rollout."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmps as mps
+from jaxmps.status import Status
+
+pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
+
+
+@pytest.fixture(scope="module")
+def scheme():
+    with jax.enable_x64(True):
+        yield mps.schemes.mps()
+
+
+def dam(spacing: float = 0.1) -> mps.Case:
+    return mps.cases.dam_break(spacing=spacing)
+
+
+def test_the_same_run_twice_is_the_same_bit_for_bit(scheme):
+    case = dam(0.05)
+    first, second = (mps.simulate(case, scheme, until=0.3, save_every=0.1) for _ in range(2))
+    assert first.summary["steps"] > 50
+    for name in ("position", "velocity", "pressure", "number_density"):
+        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+
+
+def test_a_table_that_is_too_small_is_enlarged_without_changing_the_answer(scheme):
+    case = dam(0.05)
+    roomy = mps.simulate(case, scheme, until=0.2)
+    start = mps.start(case, scheme, capacity=10)
+    assert start.neighbors.capacity == 10
+    tight = mps.simulate(case, scheme, until=0.2, start=start)
+    assert tight.status.completed and tight.summary["steps"] == roomy.summary["steps"]
+    assert np.array_equal(tight.position, roomy.position)
+
+
+def test_frames_come_at_their_times_and_splitting_a_run_changes_nothing_else(scheme):
+    case = dam()
+    run = mps.simulate(case, scheme, until=0.25, save_every=0.1)
+    assert np.allclose(run.time, [0.0, 0.1, 0.2, 0.25], rtol=0, atol=1e-12)
+    assert run.position.shape == (4, len(case.particles.kind), 2)
+
+
+def test_a_run_carries_on_from_a_state(scheme):
+    case = dam()
+    state, _ = mps.rollout(case, scheme, mps.start(case, scheme), steps=20, dt=2e-3)
+    run = mps.simulate(case, scheme, until=0.1, save_every=0.05, start=state)
+    assert np.allclose(run.time, [0.04, 0.05, 0.1], rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match=r"until must exceed .* 0.04 s, got 0.01 s"):
+        mps.simulate(case, scheme, until=0.01, start=state)
+
+
+def test_a_time_step_far_too_large_stops_with_cause_time_particle_and_place(scheme, tmp_path):
+    case = dam(0.05)
+    with pytest.warns(mps.SimulationWarning, match="time step too large"):
+        run = mps.simulate(case, scheme, until=2.0, save_every=0.1, dt=0.1, out=tmp_path / "run.vtkhdf")
+    assert not run.status.completed and Status.TIME_STEP_TOO_LARGE in run.status.flags
+    event = run.status.events[0]
+    assert event.particle is not None and 0 <= event.particle < 1250 and event.value > 1.0
+    np.testing.assert_allclose(event.position, run.position[-1, event.particle], rtol=1e-6)
+    assert np.isfinite(run.position).all() and len(mps.read(tmp_path / "run.vtkhdf")) == len(run)
+    with pytest.raises(mps.SimulationError, match=f"particle {event.particle} at"):
+        run.status.check()
+
+
+def test_values_that_are_not_finite_stop_the_run_at_the_last_good_state(scheme):
+    case = dam()
+    state = mps.start(case, scheme)
+    broken = state.particles.velocity.at[7, 0].set(jnp.nan)
+    state = mps.State(
+        mps.Particles(
+            state.particles.position, broken, state.particles.pressure, state.particles.kind, state.particles.phase
+        ),
+        state.neighbors, state.number_density, state.surface, state.time, state.step,
+    )  # fmt: skip
+    run = mps.simulate(case, scheme, until=0.1, dt=1e-3, start=state)
+    assert Status.NOT_FINITE in run.status.flags and run.status.events[0].particle == 7
+    assert np.isfinite(run.position).all()
+
+
+def test_a_pressure_solve_that_misses_its_tolerance_is_reported(scheme):
+    hasty = mps.schemes.mps(tolerance=1e-14)
+    run = mps.simulate(dam(), hasty, until=0.02)
+    start = mps.start(dam(), hasty)
+    few = mps.Scheme(
+        **{f: getattr(hasty, f) for f in hasty.__dataclass_fields__ if f != "max_iterations"},
+        max_iterations=3,
+    )
+    run = mps.simulate(dam(), few, until=0.02, start=start)
+    event = next(e for e in run.status.events if e.status == Status.NOT_CONVERGED)
+    assert event.count == run.summary["steps"] and event.value > 1e-14
+    assert run.status.completed  # a warning, not a failure
+
+
+def test_a_particle_that_leaves_the_domain_is_taken_out_counted_and_reported(scheme):
+    case = dam()
+    position = case.particles.position.at[0].set(jnp.array([1.0, 3.9]))
+    velocity = case.particles.velocity.at[0].set(jnp.array([0.0, 5.0]))
+    particles = mps.Particles(position, velocity, case.particles.pressure, case.particles.kind, case.particles.phase)
+    case = mps.Case(particles, case.fluids, case.gravity, case.spacing, case.box)
+    run = mps.simulate(case, scheme, until=0.1, save_every=0.05)
+    assert run.status.completed and Status.ESCAPED in run.status.flags
+    assert run.kind[0, 0] == mps.Kind.FLUID and run.kind[-1, 0] == mps.Kind.REMOVED
+    assert run.summary["fluid_particles"] == 49 and run.status.events[0].particle == 0
+
+
+def test_single_and_double_precision_agree_on_the_front():
+    fronts = []
+    for x64 in (False, True):
+        with jax.enable_x64(x64):
+            run = mps.simulate(dam(0.05), mps.schemes.mps(), until=0.4, save_every=0.05)
+            assert run.position.dtype == (np.float64 if x64 else np.float32)
+            fronts.append(mps.diagnostics.surge_front(run.position, run.fluid, run.spacing))
+    np.testing.assert_allclose(fronts[0], fronts[1], rtol=0.02)
+
+
+def test_a_rollout_takes_the_steps_of_a_run(scheme):
+    case = dam()
+    run = mps.simulate(case, scheme, until=0.05, dt=1e-3)
+    final, info = mps.rollout(case, scheme, mps.start(case, scheme), steps=50, dt=1e-3)
+    assert info.status.shape == (50,) and not info.status.any()
+    # The run divides its interval into equal steps, which differ from dt by round-off.
+    np.testing.assert_allclose(final.particles.position, run.position[-1], atol=1e-9)
+    assert float(final.time) == pytest.approx(0.05)
+
+
+def test_a_rollout_is_compiled_once_for_all_values_of_the_scheme():
+    compiled = []
+
+    @jax.jit
+    def height(scheme):
+        compiled.append(1)
+        return mps.rollout(case, scheme, start, steps=20, dt=2e-3)[0].particles.position[:, 1].mean()
+
+    case = dam()
+    start = mps.start(case, mps.schemes.mps())
+    results = [height(mps.schemes.mps(relaxation=gamma)) for gamma in (0.1, 0.2, 0.3)]
+    assert len(compiled) == 1 and len({float(r) for r in results}) == 3
+
+
+def test_rollouts_run_under_vmap():
+    case = dam()
+    start = mps.start(case, mps.schemes.mps())
+    gammas = jnp.array([0.1, 0.3])
+
+    def final(gamma):
+        return mps.rollout(case, mps.schemes.mps(relaxation=gamma), start, steps=5, dt=1e-3)[0].particles.position
+
+    together = jax.vmap(final)(gammas)
+    for gamma, position in zip(gammas, together, strict=True):
+        np.testing.assert_allclose(position, final(gamma), atol=1e-9)
+
+
+def test_a_list_overflow_is_told_by_a_rollout():
+    case, scheme = dam(), mps.schemes.mps()
+    start = mps.start(case, scheme, capacity=4)
+    _, info = mps.rollout(case, scheme, start, steps=2, dt=1e-3)
+    assert (np.asarray(info.status) & Status.TABLE_FULL).all()
+
+
+def test_at_rest_without_gravity_a_time_step_is_asked_for(scheme):
+    with pytest.raises(ValueError, match="dt must be given"):
+        mps.simulate(mps.cases.dam_break(spacing=0.1, gravity=0.0), scheme, until=0.1)
+
+
+@pytest.mark.parametrize("wrong", [{"until": 0.0}, {"until": float("nan")}, {"save_every": -1.0}, {"dt": 0.0}])
+def test_a_wrong_time_is_refused_by_name(scheme, wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        mps.simulate(dam(), scheme, **{"until": 1.0, **wrong})
+
+
+def test_viscosity_damps_motion():
+    case = mps.cases.hydrostatic(spacing=0.05, length=0.5, height=0.5, viscosity=0.05)
+    shear = case.particles.velocity.at[:, 0].set(jnp.where(case.particles.fluid, 0.5, 0.0))
+    moving = mps.Particles(
+        case.particles.position,
+        shear,
+        case.particles.pressure,
+        case.particles.kind,
+        case.particles.phase,
+    )
+    case = mps.Case(moving, case.fluids, case.gravity, case.spacing, case.box)
+    kinetic = {}
+    for viscous in (False, True):
+        scheme = mps.schemes.mps(viscous=viscous)
+        _, info = mps.rollout(case, scheme, mps.start(case, scheme), steps=20, dt=1e-3)
+        kinetic[viscous] = float(info.energy.kinetic[-1])
+    assert kinetic[True] < 0.9 * kinetic[False]
