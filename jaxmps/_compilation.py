@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+from jax.core import Tracer
 
 _OPTIONS = {"xla_cpu_experimental_ynn_fusion_type": ""}
 
@@ -41,7 +42,7 @@ def jit(function: Callable[..., Any], **keywords: Any) -> Callable[..., Any]:
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         leaves = jax.tree.leaves((args, kwargs))
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+        traced = any(isinstance(leaf, Tracer) for leaf in leaves)
         return (plain if traced else tuned())(*args, **kwargs)
 
     return call

@@ -32,9 +32,7 @@ class Box(eqx.Module):
                 f"{len(self.lower)}, {len(self.upper)} and {len(self.periodic)}"
             )
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ValueError(
-                f"box.upper must exceed box.lower on every axis, got {self.lower} m and {self.upper} m"
-            )
+            raise ValueError(f"box.upper must exceed box.lower on every axis, got {self.lower} m and {self.upper} m")
 
     @property
     def dim(self) -> int:

@@ -3,8 +3,8 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxmps._types import as_array
@@ -64,8 +64,13 @@ class Case(eqx.Module):
 
 def _check_values(case: Case) -> None:
     particles = case.particles
+    count, dim = particles.position.shape
+    shapes = {"velocity": (count, dim), "pressure": (count,), "kind": (count,), "phase": (count,)}
+    for name, shape in shapes.items():
+        if getattr(particles, name).shape != shape:
+            raise ValueError(f"particles.{name} must have the shape {shape}, got {getattr(particles, name).shape}")
     leaves = (particles.position, particles.phase, particles.kind, case.fluids.density)
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
         return  # under a transformation there are no values to check
     position, phase, kind, density = (np.asarray(leaf) for leaf in leaves)
     if not np.all(density > 0):

@@ -78,12 +78,8 @@ def _solve_jvp(tolerance, max_iterations, primals, tangents):
         # Scaled to order one: in single precision the squares inside cg underflow for tiny cotangents.
         scale = jnp.max(jnp.abs(rhs))
         scale = jnp.where(scale > 0, scale, 1.0)
-        solution, _ = cg(
-            matvec, rhs / scale, tol=tolerance, maxiter=max_iterations, M=operator.precondition
-        )
+        solution, _ = cg(matvec, rhs / scale, tol=tolerance, maxiter=max_iterations, M=operator.precondition)
         return scale * solution
 
-    dx = jax.lax.custom_linear_solve(
-        operator.__matmul__, d_b - d_product, scaled_cg, scaled_cg, symmetric=True
-    )
+    dx = jax.lax.custom_linear_solve(operator.__matmul__, d_b - d_product, scaled_cg, scaled_cg, symmetric=True)
     return x, dx

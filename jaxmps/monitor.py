@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar
@@ -78,8 +79,9 @@ def inspect(
         status=jnp.sum(jnp.where(raised, jnp.array([int(bit) for bit in BITS]), 0)),
         culprit=culprit,
         residual=convergence.residual,
-        travel=jnp.sqrt(squared_travel[fastest]),
-        max_speed=jnp.sqrt(jnp.max(jnp.where(kept.fluid, squared_speed, 0.0))),
+        # Roots have no derivative at rest, and these are there to be looked at.
+        travel=jnp.sqrt(lax.stop_gradient(squared_travel[fastest])),
+        max_speed=jnp.sqrt(lax.stop_gradient(jnp.max(jnp.where(kept.fluid, squared_speed, 0.0)))),
         surface_count=jnp.sum(surface),
         escaped=jnp.sum(gone),
         energy=mechanical_energy(kept, case.density, case.gravity),
@@ -108,9 +110,7 @@ def empty_log(dim: int) -> Log:
     return Log(count, jnp.zeros(()), jnp.zeros(()), none, none, zero, none, place, zero)
 
 
-def extend(
-    log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Particles, time: Scalar, step: Array
-) -> Log:
+def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Particles, time: Scalar, step: Array) -> Log:
     """The log with one more step; `particles` and `time` [s] are those at the step's start."""
     status, none = info.status, jnp.zeros_like(info.residual)
     raised = jnp.stack([(status & int(bit)) != 0 for bit in BITS])

@@ -103,9 +103,12 @@ def grow(neighbors: Neighbors, position: Float[Array, "n d"]) -> Neighbors:
 def pairs(neighbors: Neighbors, particles: Particles, spacing: float) -> Pairs:
     """The pairs within the cutoff at the particles' positions; differentiable in the positions."""
     position, n = particles.position, particles.position.shape[0]
-    own = jnp.arange(n, dtype=neighbors.table.idx.dtype)[:, None]
-    listed = neighbors.table.idx < n
-    j = jnp.where(listed, neighbors.table.idx, own)
+    table = neighbors.table.idx
+    if not neighbors.capacity:  # a particle alone in the world: operators still want a slot
+        table = jnp.full((n, 1), n, table.dtype)
+    own = jnp.arange(n, dtype=table.dtype)[:, None]
+    listed = table < n
+    j = jnp.where(listed, table, own)
     r_ij = neighbors.box.displacement(position[j] - position[:, None, :])
     squared = jnp.sum(r_ij**2, axis=-1)
     active = particles.kind != Kind.REMOVED

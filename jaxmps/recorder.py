@@ -111,6 +111,4 @@ class Recorder:
             self._writer.finish(outcome.to_dict(), summary)
             return read(self._writer.path)
         columns = {name: np.stack([f[name] for f in self._frames]) for name in self._frames[0]}
-        return Run(
-            **columns, **self._fixed, status=outcome, summary=summary, metadata=self._metadata
-        )
+        return Run(**columns, **self._fixed, status=outcome, summary=summary, metadata=self._metadata)

@@ -16,7 +16,7 @@ from jaxmps._compilation import jit
 from jaxmps._types import ArrayLike, Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
-from jaxmps.monitor import Log, StepInfo, empty_log, events, extend
+from jaxmps.monitor import StepInfo, empty_log, events, extend
 from jaxmps.neighbors import SKIN, Neighbors, allocate, grow, pairs
 from jaxmps.operators import number_density, pair_weight
 from jaxmps.progress import Meter, meter
@@ -30,9 +30,7 @@ from jaxmps.validation import positive
 _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the progress bar
 
 
-def start(
-    case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None
-) -> State:
+def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
     """The state at t = 0 with its neighbor list allocated. Not for use under jit.
 
     The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default half as
@@ -115,8 +113,7 @@ def simulate(
     Raises `ValueError` for times that are not positive and `FileExistsError` for an existing file.
     """
     until = positive("until", until, "s")
-    save_every = until if save_every is None else positive("save_every", save_every, "s")
-    save_every = min(save_every, until)
+    save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     key = jax.random.key(0) if key is None else key
     state = _start(case, scheme) if start is None else start
@@ -185,9 +182,7 @@ class _Loop:
         while float(timer.elapsed) < float(timer.duration):
             began = clock.perf_counter()
             carry = (self.state, timer, self.log)
-            carry, status = _advance(
-                self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk)
-            )
+            carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
             self.state, timer, self.log = carry
             bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
             if int(status) & FATAL:
@@ -229,9 +224,7 @@ def _advance_chunk(case, scheme, carry, dt, key, most_steps):
         log = extend(log, info, accepted, state.particles, state.time, state.step)
         elapsed = jnp.where(count > 1, timer.elapsed + now, timer.duration)
         ahead = (new, _Clock(timer.duration, elapsed, now))
-        state, timer = jax.tree.map(
-            lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer)
-        )
+        state, timer = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer))
         return (state, timer, log), info.status
 
     return jax.lax.while_loop(going, body, (carry, jnp.zeros((), int)))
@@ -242,6 +235,4 @@ _advance = jit(_advance_chunk)
 
 def _check_time_step(case: Case, scheme: Scheme, state: State, dt: Scalar | None) -> None:
     if dt is None and not np.isfinite(float(largest_step(case, scheme, state.particles))):
-        raise ValueError(
-            "dt must be given (in s) for a case at rest without gravity: the scheme sets no limit"
-        )
+        raise ValueError("dt must be given (in s) for a case at rest without gravity: the scheme sets no limit")

@@ -26,9 +26,7 @@ class State(eqx.Module):
     step: Int[Array, ""]
 
 
-def step(
-    case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]
-) -> tuple[State, StepInfo]:
+def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]) -> tuple[State, StepInfo]:
     """The flow after `dt` [s]: explicit prediction, pressure, correction ([N11] §2). Pure and differentiable."""
     old, density, spacing = state.particles, case.density, case.spacing
     radius = scheme.ratio * spacing
@@ -41,15 +39,11 @@ def step(
     neighbors = update(state.neighbors, old.position)
     near = pairs(neighbors, old, spacing)
     viscosity = case.fluids.viscosity[old.phase]
-    viscous = scheme.viscosity(
-        old.velocity, viscosity, near, pair_weight(near, radius), n0, lam
-    )
+    viscous = scheme.viscosity(old.velocity, viscosity, near, pair_weight(near, radius), n0, lam)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
     u = jnp.where(moving, scheme.noise(u, key), u)
     u = u + scheme.collision(u, near, density, moves, spacing, dt)
-    predicted = eqx.tree_at(
-        lambda p: (p.position, p.velocity), old, (old.position + dt * u, u)
-    )
+    predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (old.position + dt * u, u))
 
     # Implicit: the predicted number density gives surface and source, the PPE the pressure.
     neighbors = update(neighbors, predicted.position)
@@ -61,9 +55,7 @@ def step(
     w = jnp.where(old.has_pressure[:, None] & old.has_pressure[near.j], w, 0.0)
     operator = poisson_operator(near, w, density, unknown, n0, lam)
     source = scheme.source(n, n0, dt)
-    p, convergence = solve_pressure(
-        operator, source, unknown, old.pressure, scheme.tolerance, scheme.max_iterations
-    )
+    p, convergence = solve_pressure(operator, source, unknown, old.pressure, scheme.tolerance, scheme.max_iterations)
     p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
 
     # Correction: the pressure gradient changes u* and r*.
@@ -78,11 +70,18 @@ def step(
 def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:
     """Δt [s] that the scheme allows at the present velocities; infinite at rest without gravity."""
     squared_speed = jnp.sum(particles.velocity**2, axis=-1)
-    u_max = jnp.sqrt(jnp.max(jnp.where(particles.fluid, squared_speed, 0.0)))
-    g = jnp.linalg.norm(case.gravity)
-    rule = scheme.time_step
-    courant = jnp.where(u_max > 0, rule.courant * case.spacing / jnp.where(u_max > 0, u_max, 1), jnp.inf)
-    falling = jnp.where(
-        g > 0, rule.gravity_limit * jnp.sqrt(case.spacing / jnp.where(g > 0, g, 1.0)), jnp.inf
-    )
+    fastest = jnp.max(jnp.where(particles.fluid, squared_speed, 0.0))
+    rule, spacing = scheme.time_step, case.spacing
+    courant = _over_root(rule.courant * spacing, fastest)
+    falling = _over_root(rule.gravity_limit * spacing**0.5, jnp.sqrt(_positive(jnp.sum(case.gravity**2))))
+    falling = jnp.where(jnp.any(case.gravity != 0), falling, jnp.inf)
     return jnp.minimum(courant, falling)
+
+
+def _over_root(a: Scalar, squared: Scalar) -> Scalar:
+    """a / √squared, infinite for zero, with derivatives that stay finite there."""
+    return jnp.where(squared > 0, a / jnp.sqrt(_positive(squared)), jnp.inf)
+
+
+def _positive(x: Scalar) -> Scalar:
+    return jnp.where(x > 0, x, 1.0)

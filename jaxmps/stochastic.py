@@ -10,9 +10,7 @@ class AbstractVelocityNoise(eqx.Module):
     """A model of the random velocity."""
 
     @abc.abstractmethod
-    def __call__(
-        self, velocity: Float[Array, "n d"], key: Key[Array, ""]
-    ) -> Float[Array, "n d"]:
+    def __call__(self, velocity: Float[Array, "n d"], key: Key[Array, ""]) -> Float[Array, "n d"]:
         """The velocity [m/s] with the random part added."""
 
 

@@ -6,44 +6,44 @@ Numbers may be arrays; inside a transformation, where an argument has no value, 
 import math
 from typing import Any
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 
-def number(name: str, value: Any, unit: str = "") -> float:
+def number(name: str, value: Any, unit: str = "") -> Any:
     """`value` as a finite float, else `ValueError`."""
-    if isinstance(value, jax.core.Tracer):
-        return value  # type: ignore[return-value]
+    if isinstance(value, Tracer):
+        return value
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.ndim or not math.isfinite(array):
         raise ValueError(f"{name} must be a finite number{f' in {unit}' if unit else ''}, got {_show(value, unit)}")
     return float(array)
 
 
-def positive(name: str, value: Any, unit: str = "") -> float:
+def positive(name: str, value: Any, unit: str = "") -> Any:
     """`value` as a finite float above zero, else `ValueError`."""
     return _obey(name, value, unit, lambda x: x > 0.0, "greater than zero")
 
 
-def not_negative(name: str, value: Any, unit: str = "") -> float:
+def not_negative(name: str, value: Any, unit: str = "") -> Any:
     """`value` as a finite float, zero or above, else `ValueError`."""
     return _obey(name, value, unit, lambda x: x >= 0.0, "zero or greater")
 
 
-def between(name: str, value: Any, low: float, high: float, unit: str = "") -> float:
+def between(name: str, value: Any, low: float, high: float, unit: str = "") -> Any:
     """`value` as a float within `[low, high]`, else `ValueError`."""
     limits = f"between {low:g} and {high:g}{' ' + unit if unit else ''}"
     return _obey(name, value, unit, lambda x: low <= x <= high, limits)
 
 
-def at_most(name: str, value: Any, limit_name: str, limit: float, unit: str) -> float:
+def at_most(name: str, value: Any, limit_name: str, limit: float, unit: str) -> Any:
     """`value` as a float of at most `limit`, else `ValueError`."""
     return _obey(name, value, unit, lambda x: x <= limit, f"at most {limit_name} ({limit:g} {unit})")
 
 
-def _obey(name: str, value: Any, unit: str, rule: Any, words: str) -> float:
+def _obey(name: str, value: Any, unit: str, rule: Any, words: str) -> Any:
     checked = number(name, value, unit)
-    if not isinstance(checked, jax.core.Tracer) and not rule(checked):
+    if not isinstance(checked, Tracer) and not rule(checked):
         raise ValueError(f"{name} must be {words}, got {_show(value, unit)}")
     return checked
 

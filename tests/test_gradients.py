@@ -19,17 +19,21 @@ MASKS = ("beta", "collision distance", "courant", "gravity limit")
 def problem(tolerance: float) -> SimpleNamespace:
     """A small dam break of a viscous fluid off its lattice, with two drops above it that collide."""
     case = cases.dam_break(spacing=0.1, width=0.4, height=0.7, tank_length=0.8, tank_height=0.9, viscosity=0.5)
-    case = cases.jitter(case, 0.15, jax.random.key(2))
+    moves = np.asarray(case.particles.fluid)[:, None]
+    # From numpy, the same numbers in both precisions.
+    shift = 0.012 * np.random.default_rng(2).uniform(-1, 1, (len(moves), 2))
+    position = case.particles.position + jnp.array(np.where(moves, shift, 0.0))
     # The last two particles of the column become drops in free flight, 0.55 spacings apart at 2.5 m/s.
     fluid = np.flatnonzero(np.asarray(case.particles.fluid))
     left, right = fluid[-1], fluid[-2]
-    position = case.particles.position
     position = position.at[left].set(jnp.array([0.60, 0.55])).at[right].set(jnp.array([0.653, 0.565]))
     case = eqx.tree_at(lambda c: c.particles.position, case, position)
     scheme = schemes.mps(viscous=True, tolerance=tolerance)
     start = jaxmps.start(case, scheme)
-    velocity = 0.2 * np.random.default_rng(3).normal(size=position.shape)
-    velocity = np.where(np.asarray(case.particles.fluid)[:, None], velocity, 0.0)
+    # The column is compressed, so that there is pressure to the end.
+    center = np.array([0.2, 0.35])
+    velocity = 0.1 * np.random.default_rng(3).normal(size=position.shape) - 2.0 * (np.asarray(position) - center)
+    velocity = np.where(moves, velocity, 0.0)
     velocity[left], velocity[right] = [1.5, 0.3], [-1.0, 0.1]
     start = eqx.tree_at(lambda s: s.particles.velocity, start, jnp.array(velocity))
     values = {
@@ -77,23 +81,24 @@ def problem(tolerance: float) -> SimpleNamespace:
 
     def loss(v):
         """A generic function of the end: no symmetry hides an error."""
-        end = run(v)[0].particles
-        return (
+        state, info = run(v)
+        end = state.particles
+        value = (
             jnp.sum(jnp.array(weights[0]) * end.position) / 0.1
             + jnp.sum(jnp.array(weights[1]) * end.velocity)
             + jnp.sum(jnp.array(weights[1][:, 0]) * end.pressure) / 1e4
         )
+        return value, (state, info)
 
-    return SimpleNamespace(values=values, run=jax.jit(run), loss=loss, drops=(left, right), case=case)
+    return SimpleNamespace(values=values, loss=loss, drops=(left, right), case=case)
 
 
 @pytest.fixture(scope="module")
 def double():
     jax.config.update("jax_enable_x64", True)  # module fixtures come before the one that sets it for each test
     p = problem(tolerance=1e-13)
-    p.compiled = jax.jit(p.loss)
-    p.value, p.gradient = jax.jit(jax.value_and_grad(p.loss))(p.values)
-    p.forward = jax.jit(lambda v, t: jax.jvp(p.loss, (v,), (t,))[1])
+    (_, p.end), p.gradient = jax.jit(jax.value_and_grad(p.loss, has_aux=True))(p.values)
+    p.forward = jax.jit(lambda v, t: jax.jvp(lambda x: p.loss(x)[0], (v,), (t,)))
     return p
 
 
@@ -112,12 +117,12 @@ def inner(gradient, tangent) -> float:
 
 def test_the_run_is_a_generic_one(double):
     # Otherwise the tests below would say little: surface and interior, clipped pressures, and a collision.
-    end, info = double.run(double.values)
+    end, info = double.end
     assert not np.any(info.status)
     p = np.asarray(end.particles.pressure)
     unknown = np.asarray(double.case.particles.has_pressure) & ~np.asarray(end.surface)
     assert np.sum(unknown & (p == 0)) > 0
-    assert np.sum(p > 0) > 10
+    assert np.sum(p > 0) > 3
     left, right = double.drops
     velocity = np.asarray(end.particles.velocity)
     assert velocity[left, 0] < velocity[right, 0]
@@ -127,7 +132,7 @@ def test_the_run_is_a_generic_one(double):
 def test_reverse_mode_is_forward_mode_and_central_differences(double, name):
     tangent = direction(double.values, name)
     reverse = inner(double.gradient, tangent)
-    forward = float(double.forward(double.values, tangent))
+    forward = float(double.forward(double.values, tangent)[1])
     assert np.isfinite(reverse)
     size = float(jnp.max(jnp.abs(double.values[name])))
     # Not zero: a change of the value by its own size is felt.
@@ -135,23 +140,22 @@ def test_reverse_mode_is_forward_mode_and_central_differences(double, name):
     assert forward == pytest.approx(reverse, rel=1e-8)
     # Small enough to meet no kink of a minimum or a mask, large enough for the solver's tolerance of 1e-13.
     h = 1e-6 * size
-    plus, minus = (
-        float(double.compiled(jax.tree.map(lambda x, t, s=s: x + s * h * t, double.values, tangent))) for s in (1, -1)
-    )
+    near = (jax.tree.map(lambda x, t, s=s: x + s * h * t, double.values, tangent) for s in (1, -1))
+    plus, minus = (float(double.forward(values, tangent)[0]) for values in near)
     assert reverse == pytest.approx((plus - minus) / (2 * h), rel=1e-4)
 
 
 @pytest.mark.parametrize("name", MASKS)
 def test_thresholds_and_unused_limits_have_no_derivative(double, name):
     assert float(double.gradient[name]) == 0.0
-    assert float(double.forward(double.values, direction(double.values, name))) == 0.0
+    assert float(double.forward(double.values, direction(double.values, name))[1]) == 0.0
 
 
 @pytest.mark.parametrize("precision", ["single"], indirect=True)
 def test_single_precision_gives_the_derivatives_of_double(double, precision):
     single = problem(tolerance=1e-6)
     assert single.values["velocity"].dtype == jnp.float32
-    gradient = jax.jit(jax.grad(single.loss))(single.values)
+    gradient = jax.jit(jax.grad(single.loss, has_aux=True))(single.values)[0]
     for name in LEAVES:
         found, expected = np.asarray(gradient[name], float), np.asarray(double.gradient[name])
         assert np.all(np.isfinite(found)), name

@@ -39,7 +39,7 @@ def fluid(position) -> np.ndarray:
 
 
 def cloud(box: Box, seed: int) -> np.ndarray:
-    """Random particles, about as dense as a lattice, and one on each corner and in the middle of each face of the box."""
+    """Random particles, about as dense as a lattice, with one on each corner and in the middle of each face."""
     lower, upper = np.array(box.lower), np.array(box.upper)
     n = round(np.prod(box.lengths) / SPACING**box.dim)
     inside = np.random.default_rng(seed).uniform(lower, upper, (n, box.dim))

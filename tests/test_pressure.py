@@ -194,7 +194,7 @@ def test_too_dense_particles_get_positive_pressure():
 @functools.cache
 def step_of_a_tank(clip: bool) -> tuple[jaxmps.Case, jaxmps.State]:
     """A jittered tank after one step."""
-    case = cases.hydrostatic(spacing=0.1, length=0.5, height=0.5, freeboard=0.1)
+    case = cases.hydrostatic(spacing=0.1, length=0.8, height=0.8, freeboard=0.1)
     case = cases.jitter(case, 0.1, jax.random.key(1))
     scheme = schemes.mps(clip_pressure=clip, tolerance=1e-12)
     state, _ = jaxmps.rollout(case, scheme, jaxmps.start(case, scheme), steps=1, dt=1e-3)

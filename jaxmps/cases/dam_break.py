@@ -32,9 +32,7 @@ def dam_break(
         spacing=spacing, width=width, height=height, tank_length=tank_length, tank_height=tank_height
     )
     _check_fluid(gravity, density, viscosity, ratio)
-    parameters: dict[str, Any] = dict(
-        lengths, gravity=gravity, density=density, viscosity=viscosity, ratio=ratio
-    )
+    parameters: dict[str, Any] = dict(lengths, gravity=gravity, density=density, viscosity=viscosity, ratio=ratio)
     return tank_case(
         name="dam_break",
         parameters=parameters,

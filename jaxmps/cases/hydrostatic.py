@@ -39,9 +39,14 @@ def hydrostatic(
     return tank_case(
         name="hydrostatic",
         parameters={
-            "spacing": spacing, **sides, "freeboard": freeboard, "gravity": gravity, "density": density,
-            "viscosity": viscosity, "ratio": ratio,
-        },  # fmt: skip
+            "spacing": spacing,
+            **sides,
+            "freeboard": freeboard,
+            "gravity": gravity,
+            "density": density,
+            "viscosity": viscosity,
+            "ratio": ratio,
+        },
         block=block,
         inside=block,
         wall_height=cells(height + freeboard, spacing),

@@ -89,9 +89,7 @@ def tank_case(
     points, kind = block_in_tank(block, inside, wall_height, layers, periodic)
     margin = (1 + layers) * spacing
     lower = [0.0 if p else -margin for p in periodic]
-    upper = [
-        size * spacing + (0.0 if p else margin) for size, p in zip(inside, periodic, strict=True)
-    ]
+    upper = [size * spacing + (0.0 if p else margin) for size, p in zip(inside, periodic, strict=True)]
     upper[-1] = headroom
     return Case(
         particles=at_rest((points + 0.5) * spacing, kind),

@@ -20,9 +20,7 @@ class Energy(NamedTuple):
         return self.kinetic + self.potential
 
 
-def mechanical_energy(
-    particles: Particles, density: Float[Array, " n"], gravity: Float[Array, " d"]
-) -> Energy:
+def mechanical_energy(particles: Particles, density: Float[Array, " n"], gravity: Float[Array, " d"]) -> Energy:
     """The mean over the fluid's mass of ½ u² and of −g·r ([N11] §3, read as energy per unit mass).
 
     The potential is zero at the origin of the coordinates.

@@ -20,8 +20,6 @@ def surge_front(
         points = frame[wet]
         points = points[np.argsort(-points[:, 0])]
         near = (company * spacing) ** 2
-        leader = next(
-            (p for p in points if np.sum(np.sum((points - p) ** 2, axis=1) <= near) > 1), [np.nan]
-        )
+        leader = next((p for p in points if np.sum(np.sum((points - p) ** 2, axis=1) <= near) > 1), [np.nan])
         fronts.append(leader[0] + 0.5 * spacing)
     return np.array(fronts)

@@ -185,9 +185,7 @@ def _reserve(path: Path, overwrite: bool) -> None:
     try:
         path.open("xb").close()
     except FileExistsError:
-        raise FileExistsError(
-            f"{path} exists already: choose another path, or allow it to be overwritten"
-        ) from None
+        raise FileExistsError(f"{path} exists already: choose another path, or allow it to be overwritten") from None
 
 
 def _checked(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -35,9 +35,7 @@ class MinPressure(AbstractGradient):
         return weighted_gradient(pressure[pairs.j] - minimum(pressure, pairs, w > 0)[:, None], pairs, w, n0)
 
 
-def minimum(
-    pressure: Float[Array, " n"], pairs: Pairs, counts: Bool[Array, "n k"]
-) -> Float[Array, " n"]:
+def minimum(pressure: Float[Array, " n"], pairs: Pairs, counts: Bool[Array, "n k"]) -> Float[Array, " n"]:
     """p̂_i [Pa], the smallest pressure among i and those of its neighbors that count ([T13] Eq. 2)."""
     smallest = jnp.min(jnp.where(counts, pressure[pairs.j], jnp.inf), axis=-1)
     return jnp.minimum(pressure, smallest)
