@@ -28,8 +28,8 @@ help:
 	@touch $@
 
 demo: .venv/.installed
-	$(BIN)/jaxmps run dam_break --spacing 0.02 --until 1.0 --save-every 0.02 --out demo --force
-	$(BIN)/jaxmps animate demo/run.vtkhdf --force
+	$(BIN)/jaxmps run dam_break --spacing 0.02 --until 1.6 --save-every 0.04 --out demo --force
+	$(BIN)/jaxmps animate demo/run.vtkhdf --fps 20 --force
 	@echo "Pictures and animation:"
 	@ls demo/*.png demo/*.gif demo/*.mp4 2>/dev/null | sed 's/^/  /'
 	@echo "Data, for ParaView or PyVista:"
@@ -42,7 +42,7 @@ lint: .venv/.installed-test
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 format: .venv/.installed-test
 	$(BIN)/ruff format .

@@ -57,6 +57,8 @@ class Box(eqx.Module):
             return position
         lower = jnp.array(self.lower, position.dtype)
         inside = lower + jnp.mod(position - lower, jnp.array(self.lengths, position.dtype))
+        # Just below the lower end, round-off would give the upper one.
+        inside = jnp.where(inside >= jnp.array(self.upper, position.dtype), lower, inside)
         return jnp.where(jnp.array(self.periodic), inside, position)
 
     def contains(self, position: Float[Array, "*n d"]) -> Bool[Array, "*n"]:

@@ -43,12 +43,6 @@ class Case(eqx.Module):
                 "fluids.density and fluids.viscosity must have one entry for each phase, got "
                 f"{self.fluids.density.shape} and {self.fluids.viscosity.shape}"
             )
-        for period, axis, length in zip(box.periodic, "xyz", box.lengths, strict=False):
-            if period and length < 6.0 * self.spacing:
-                raise ValueError(
-                    f"the box must be at least 6 spacings long on its periodic axis {axis} "
-                    f"({6.0 * self.spacing:g} m), got {length:g} m"
-                )
         _check_values(self)
 
     @property

@@ -19,7 +19,7 @@ SKIN = 0.3
 """Default reach of the list beyond the cutoff, in spacings; the list is rebuilt after half of it."""
 
 
-_first_tables: dict[tuple, Any] = {}
+_closures: dict[tuple, tuple[Any, Any]] = {}
 _NEIGHBOR_LIST_OVERFLOW = 1  # jax_md.partition.PartitionErrorCode
 
 
@@ -66,7 +66,7 @@ def allocate(
 
     By default a quarter more slots than are needed now. Not for use under jit.
     """
-    functions = _functions(box, cutoff, skin)
+    functions = _functions(box, cutoff, skin, position.dtype)
     inside = _inside(position, box)
     table = functions.allocate(inside)
     natural = table.idx.shape[1]
@@ -82,8 +82,9 @@ def allocate(
         )
     # Each allocation makes its own closures, which are part of the type: with those of the first one, what was
     # compiled for one list serves all of the same size.
-    first = _first_tables.setdefault((box, cutoff, skin, table.cell_list_fn is None), table)
-    table = dataclasses.replace(table, cell_list_fn=first.cell_list_fn, update_fn=first.update_fn)
+    kind = (box, cutoff, skin, table.cell_list_fn is None, position.dtype)
+    cell_list_fn, update_fn = _closures.setdefault(kind, (table.cell_list_fn, table.update_fn))
+    table = dataclasses.replace(table, cell_list_fn=cell_list_fn, update_fn=update_fn)
     return Neighbors(table, box, cutoff, skin)
 
 
@@ -128,7 +129,7 @@ def _inside(position: Float[Array, "n d"], box: Box) -> Float[Array, "n d"]:
 
 
 @functools.cache
-def _functions(box: Box, cutoff: float, skin: float) -> Any:
+def _functions(box: Box, cutoff: float, skin: float, dtype: Any) -> Any:
     """jax-md's functions, one set for each geometry: every new set recompiles all that uses its lists."""
     from jax_md import partition
 
@@ -139,7 +140,7 @@ def _functions(box: Box, cutoff: float, skin: float) -> Any:
     ]
     return partition.neighbor_list(
         lambda a, b, **_: box.displacement(a - b),
-        jnp.array(lengths),
+        jnp.array(lengths, dtype),
         cutoff,
         dr_threshold=skin,
         format=partition.Dense,

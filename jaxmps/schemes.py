@@ -47,7 +47,7 @@ def mps(
     *,
     relaxation: ArrayLike = 0.2,
     beta: ArrayLike = 0.97,
-    collision_distance: ArrayLike = 0.85,
+    collision_distance: ArrayLike = 0.9,
     restitution: ArrayLike = 0.2,
     courant: ArrayLike = 0.2,
     viscous: bool = False,

@@ -1,12 +1,9 @@
 """Running a case: `start` and the pure `rollout`; `simulate` is the host's loop around compiled chunks of steps."""
 
 import math
-import time as clock
 import warnings
 from pathlib import Path
-from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,27 +13,33 @@ from jaxmps._compilation import jit
 from jaxmps._types import ArrayLike, Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
-from jaxmps.monitor import StepInfo, empty_log, events, extend
-from jaxmps.neighbors import SKIN, Neighbors, allocate, grow, pairs
+from jaxmps.loop import Loop
+from jaxmps.monitor import StepInfo
+from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs
 from jaxmps.operators import number_density, pair_weight
-from jaxmps.progress import Meter, meter
+from jaxmps.progress import meter
 from jaxmps.recorder import Recorder
 from jaxmps.run import Run
 from jaxmps.schemes import Scheme
-from jaxmps.status import FATAL, Event, Outcome, SimulationWarning, Status
+from jaxmps.status import FATAL, SimulationWarning, Status
 from jaxmps.stepping import State, largest_step, step
 from jaxmps.validation import positive
-
-_CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the progress bar
 
 
 def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
     """The state at t = 0 with its neighbor list allocated. Not for use under jit.
 
     The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default half as
-    many again as a full lattice fills.
+    many again as a full lattice fills. Raises `ValueError` if the box is too short along a periodic axis: a particle
+    would meet two images of another.
     """
     positive("skin", skin, "spacings")
+    for periodic, axis, length in zip(case.box.periodic, "xyz", case.box.lengths, strict=False):
+        if periodic and length < 2.0 * scheme.ratio * case.spacing:
+            raise ValueError(
+                f"the box must be at least two effective radii ({2.0 * scheme.ratio * case.spacing:g} m) long on its "
+                f"periodic axis {axis}, got {length:g} m"
+            )
     if capacity is None:
         capacity = 3 * lattice(scheme.ratio + skin, case.dim).neighbors // 2
     radius = scheme.ratio * case.spacing
@@ -124,7 +127,7 @@ def simulate(
     settings = {"until": until, "save_every": save_every, "dt": dt}
     settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
     recorder = Recorder(case, scheme, settings, out, overwrite)
-    loop = _Loop(case, scheme, state, fixed, key)
+    loop = Loop(case, scheme, state, fixed, key)
     recorder.save(state)
     first = math.floor(begin / save_every + 1e-6) + 1
     frames = math.ceil(until / save_every - 1e-9)
@@ -145,92 +148,6 @@ def simulate(
 
 
 _start = start  # `simulate` has an argument of that name
-
-
-class _Clock(NamedTuple):
-    """Time to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results."""
-
-    duration: Scalar
-    elapsed: Scalar
-    dt: Scalar
-
-
-class _Loop:
-    """The host's loop: chunks of compiled steps, with repair of the neighbor table in between."""
-
-    def __init__(self, case: Case, scheme: Scheme, state: State, dt: Scalar | None, key: Array):
-        self.case, self.scheme, self.state, self.dt, self.key = case, scheme, state, dt, key
-        self.log = empty_log(case.dim)
-        self._noted: tuple[Event, ...] = ()
-        self._chunk = 16
-        full = lattice(scheme.ratio, case.dim).neighbors
-        self._most = min(40 * full, len(case.particles.kind))
-
-    @property
-    def outcome(self) -> Outcome:
-        return Outcome(events(self.log) + self._noted)
-
-    def note(self, bit: Status) -> None:
-        event = Event(int(bit), float(self.state.time), int(self.state.step))
-        self._noted = (*self._noted, event)
-
-    def reach(self, target: float, bar: Meter) -> None:
-        """Steps until the time `target` [s], or to the last good state before a failure."""
-        begin = float(self.state.time)
-        zero = jnp.zeros((), self.state.time.dtype)
-        timer = _Clock(zero + (target - begin), zero, zero)
-        while float(timer.elapsed) < float(timer.duration):
-            began = clock.perf_counter()
-            carry = (self.state, timer, self.log)
-            carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
-            self.state, timer, self.log = carry
-            bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
-            if int(status) & FATAL:
-                return
-            if int(status) & Status.TABLE_FULL and not self._enlarge():
-                return
-            seconds = clock.perf_counter() - began
-            self._chunk = int(np.clip(self._chunk * _CHUNK_SECONDS / seconds, 1, min(2 * self._chunk, 4096)))
-        time = jnp.asarray(target, self.state.time.dtype)
-        self.state = eqx.tree_at(lambda s: s.time, self.state, time)
-
-    def _enlarge(self) -> bool:
-        neighbors = grow(self.state.neighbors, self.state.particles.position)
-        if neighbors.capacity > self._most:
-            self.note(Status.CLUSTERED)
-            return False
-        self.state = eqx.tree_at(lambda s: s.neighbors, self.state, neighbors)
-        return True
-
-
-def _advance_chunk(case, scheme, carry, dt, key, most_steps):
-    """Up to `most_steps` steps towards the next frame; a step that fails or finds the table full is not taken."""
-    last = carry[2].steps + most_steps
-    stop = int(FATAL | Status.TABLE_FULL)
-
-    def going(loop):
-        (_, timer, log), status = loop
-        return (timer.elapsed < timer.duration) & (log.steps < last) & ((status & stop) == 0)
-
-    def body(loop):
-        (state, timer, log), _ = loop
-        limit = largest_step(case, scheme, state.particles) if dt is None else dt
-        remaining = timer.duration - timer.elapsed
-        # Equal steps up to the frame: a last tiny one would blow up sources that go as 1 / dt².
-        count = jnp.maximum(jnp.ceil(remaining / limit * (1.0 - 1e-6)), 1.0)
-        now = (remaining / count).astype(remaining.dtype)
-        new, info = step(case, scheme, state, now, jax.random.fold_in(key, state.step))
-        accepted = (info.status & stop) == 0
-        log = extend(log, info, accepted, state.particles, state.time, state.step)
-        elapsed = jnp.where(count > 1, timer.elapsed + now, timer.duration)
-        ahead = (new, _Clock(timer.duration, elapsed, now))
-        state, timer = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer))
-        return (state, timer, log), info.status
-
-    return jax.lax.while_loop(going, body, (carry, jnp.zeros((), int)))
-
-
-_advance = jit(_advance_chunk)
 
 
 def _check_time_step(case: Case, scheme: Scheme, state: State, dt: Scalar | None) -> None:

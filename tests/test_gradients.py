@@ -43,7 +43,7 @@ def problem(tolerance: float) -> SimpleNamespace:
         "gravity": case.gravity,
         "velocity": start.particles.velocity,
         "density": case.fluids.density,
-        "dt": jnp.array(DT),
+        "dt": jnp.array(DT, float),
         "beta": scheme.free_surface.beta,
         "collision distance": scheme.collision.distance,
         "courant": scheme.time_step.courant,

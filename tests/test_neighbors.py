@@ -22,7 +22,6 @@ BOTH = pytest.mark.parametrize("precision", ["single", "double"], indirect=True)
 OPEN = Box((-0.3, 0.7), (0.9, 1.7))
 PERIODIC = Box((-0.3, 0.7), (0.9, 1.7), (True, True))
 CHANNEL = Box((-0.3, 0.7), (0.9, 1.7), (True, False))
-OPEN_3D = Box((-0.3, 0.7, 0.0), (0.6, 1.5, 0.8))
 CHANNEL_3D = Box((-0.3, 0.7, 0.0), (0.6, 1.5, 0.8), (False, True, False))
 PERIODIC_3D = Box((-0.3, 0.7, 0.0), (0.6, 1.5, 0.8), (True, True, True))
 CAPACITY = {2: 48, 3: 128}
@@ -109,7 +108,6 @@ def assert_complete(box: Box, position, near: Pairs) -> None:
         ("double", OPEN),
         ("double", PERIODIC),
         ("single", CHANNEL),
-        ("double", OPEN_3D),
         ("double", CHANNEL_3D),
         ("single", PERIODIC_3D),
     ],

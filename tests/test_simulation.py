@@ -193,3 +193,12 @@ def test_viscosity_damps_motion():
         _, info = mps.rollout(case, scheme, mps.start(case, scheme), steps=20, dt=1e-3)
         kinetic[viscous] = float(info.energy.kinetic[-1])
     assert kinetic[True] < 0.9 * kinetic[False]
+
+
+def test_a_period_shorter_than_two_radii_is_refused():
+    position = jnp.array([[0.1, 0.1], [0.2, 0.2]])
+    particles = mps.Particles(position, 0 * position, jnp.zeros(2), jnp.zeros(2, jnp.int8), jnp.zeros(2, jnp.int32))
+    box = mps.Box((0.0, 0.0), (0.4, 1.0), (True, False))
+    case = mps.Case(particles, mps.Fluid([1000.0], [0.0]), [0.0, -9.81], 0.1, box)
+    with pytest.raises(ValueError, match=r"two effective radii \(0.42 m\) .* axis x, got 0.4 m"):
+        mps.start(case, mps.schemes.mps())

@@ -109,7 +109,8 @@ def jitter(case: Case, amplitude: float, key: Key[Array, ""]) -> Case:
     """
     between("amplitude", amplitude, 0.0, 0.3, "spacings")
     particles = case.particles
-    shift = jax.random.uniform(key, particles.position.shape, minval=-1.0, maxval=1.0)
+    # Drawn in single precision, so that a key means the same case in both precisions.
+    shift = jax.random.uniform(key, particles.position.shape, jnp.float32, -1.0, 1.0)
     shift = amplitude * case.spacing * shift.astype(particles.position.dtype)
     position = jnp.where(particles.fluid[:, None], particles.position + shift, particles.position)
     particles = eqx.tree_at(lambda p: p.position, particles, case.box.wrap(position))
