@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,20 @@ def test_the_hydrostatic_example_stays_at_rest(tmp_path):
         # The published bar is 1e-3 at 20 rows; the noise is of the order of g l0, and here are 10 rows.
         assert rest.kinetic < 2e-3
     assert (tmp_path / "profiles.png").stat().st_size > 10_000
+
+
+def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert code is not None
+    small = {"spacing=0.02": "spacing=0.1", "until=1.0": "until=0.1", "steps=100": "steps=10", ":1250": ":50"}
+    text = code.group(1)
+    for full, little in small.items():
+        assert full in text
+        text = text.replace(full, little)
+    monkeypatch.chdir(tmp_path)
+    exec(text, {})
+    assert float(capsys.readouterr().out) != 0.0
+    assert (tmp_path / "dam.vtkhdf").exists()
 
 
 def test_the_benchmark_writes_its_table(tmp_path):

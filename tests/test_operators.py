@@ -33,7 +33,7 @@ def table(points: np.ndarray, reach: float) -> Pairs:
     n = len(points)
     count = np.bincount(i, minlength=n)
     slot = np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)
-    slots = np.tile(np.arange(n)[:, None], (1, count.max() + 2))
+    slots = np.tile(np.arange(n)[:, None], (1, int(count.max()) + 2))
     slots[i, slot] = j
     r_ij = points[slots] - points[:, None]
     distance = np.linalg.norm(r_ij, axis=-1)

@@ -56,7 +56,7 @@ def scale(run: Run, shown: Quantity, limits: tuple[float, float] | None, frames:
         low, high = (number("limits", x) for x in limits)
         if low >= high:
             raise ValueError(f"limits must be two rising numbers, got {low:g} and {high:g}")
-    below, above = values.min() < low, values.max() > high
+    below, above = bool(values.min() < low), bool(values.max() > high)
     extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
     return colormap, Normalize(low, high), extend
 
