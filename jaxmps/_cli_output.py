@@ -104,8 +104,9 @@ def tell(result: "Run") -> None:
     ):
         if isinstance(result.metadata.get(key), dict):
             print_table(title, result.metadata[key])
-    names = ("fluid", "wall", "dummy", "removed")
-    counts = {name: int((result.kind[-1] == i).sum()) for i, name in enumerate(names)}
+    from jaxmps.particles import Kind
+
+    counts = {kind.name.lower(): int((result.kind[-1] == kind).sum()) for kind in Kind}
     first, last = result.time[0], result.time[-1]
     content = {
         "particles": ", ".join(f"{count} {name}" for name, count in counts.items()),
@@ -126,10 +127,11 @@ def catalog(what: str, factories: Mapping[str, Callable[..., Any]], name: str | 
             table.add_row(known, _first_sentence(factory), _defaults(factory))
         Console().print(table)
         return
-    if name not in factories:
-        raise ValueError(f"{what} must be one of {', '.join(factories)}, got {name}")
-    print(inspect.getdoc(factories[name]))
-    signature = inspect.signature(factories[name])
+    from jaxmps.validation import one_of
+
+    factory = factories[one_of(what, name, factories)]
+    print(inspect.getdoc(factory))
+    signature = inspect.signature(factory)
     print_table("arguments", {k: p.default for k, p in signature.parameters.items()})
 
 

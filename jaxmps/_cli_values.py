@@ -17,7 +17,7 @@ from jaxmps import cases, schemes
 from jaxmps.case import Case
 from jaxmps.description import describe
 from jaxmps.schemes import Scheme
-from jaxmps.validation import between, positive
+from jaxmps.validation import between, one_of, positive
 
 Factory = Callable[..., Any]
 
@@ -30,13 +30,6 @@ def case_factories() -> dict[str, Factory]:
 def scheme_factories() -> dict[str, Factory]:
     """The functions of `jaxmps.schemes` that make a scheme from named arguments alone."""
     return _factories(schemes, Scheme)
-
-
-def choose(what: str, name: str, known: Mapping[str, Any]) -> Any:
-    """The entry of that name; else `ValueError` tells the names."""
-    if name not in known:
-        raise ValueError(f"{what} must be one of {', '.join(known)}, got {name}")
-    return known[name]
 
 
 def arguments(factory: Factory) -> dict[str, inspect.Parameter]:
@@ -64,8 +57,9 @@ def build(
     """
     if not 0 <= seed < 2**32:
         raise ValueError(f"seed must be between 0 and {2**32 - 1}, got {seed}")
-    make_case = choose("case", case, case_factories())
-    make_scheme = choose("scheme", scheme, scheme_factories())
+    known_cases, known_schemes = case_factories(), scheme_factories()
+    make_case = known_cases[one_of("case", case, known_cases)]
+    make_scheme = known_schemes[one_of("scheme", scheme, known_schemes)]
     texts = _assignments(settings)
     for_case = _picked(texts, arguments(make_case))
     for_scheme = _picked(texts, arguments(make_scheme))

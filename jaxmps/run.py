@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxmps.particles import Kind
 from jaxmps.status import Outcome
-
-_FLUID = 0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,7 +49,7 @@ class Run:
     @property
     def fluid(self) -> np.ndarray:
         """Which particles are fluid, in each frame: (m, n) bool."""
-        return self.kind == _FLUID
+        return self.kind == Kind.FLUID
 
     def __len__(self) -> int:
         """How many frames there are."""

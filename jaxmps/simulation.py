@@ -16,13 +16,13 @@ from jaxmps.kernels import lattice
 from jaxmps.loop import Loop
 from jaxmps.monitor import StepInfo
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs
-from jaxmps.operators import number_density, pair_weight
+from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
 from jaxmps.recorder import Recorder
 from jaxmps.run import Run
 from jaxmps.schemes import Scheme
 from jaxmps.status import FATAL, SimulationWarning, Status
-from jaxmps.stepping import State, largest_step, step
+from jaxmps.stepping import State, density_and_surface, largest_step, step
 from jaxmps.validation import positive
 
 
@@ -58,9 +58,7 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
 @jit
 def _first_look(case: Case, scheme: Scheme, neighbors: Neighbors) -> tuple[Array, Array]:
     near = pairs(neighbors, case.particles, case.spacing)
-    n = number_density(pair_weight(near, scheme.ratio * case.spacing))
-    n0 = lattice(scheme.ratio, case.dim).n0
-    return n, scheme.free_surface(n, n0) & case.particles.has_pressure
+    return density_and_surface(case, scheme, case.particles, pair_weight(near, scheme.ratio * case.spacing))
 
 
 def rollout(

@@ -49,8 +49,7 @@ def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, "
     neighbors = update(neighbors, predicted.position)
     near = pairs(neighbors, predicted, spacing)
     w = pair_weight(near, radius)
-    n = number_density(w)
-    surface = scheme.free_surface(n, n0) & old.has_pressure
+    n, surface = density_and_surface(case, scheme, old, w)
     unknown = old.has_pressure & ~surface
     w = jnp.where(old.has_pressure[:, None] & old.has_pressure[near.j], w, 0.0)
     operator = poisson_operator(near, w, density, unknown, n0, lam)
@@ -65,6 +64,14 @@ def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, "
     new = Particles(position, u + du, p, old.kind, old.phase)
     new, info = inspect(case, old, new, surface, dt, convergence, neighbors.overflow)
     return State(new, neighbors, n, surface, state.time + dt, state.step + 1), info
+
+
+def density_and_surface(
+    case: Case, scheme: Scheme, particles: Particles, w: Float[Array, "n k"]
+) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
+    """The number density and which particles lie on the free surface; dummies never do."""
+    n = number_density(w)
+    return n, scheme.free_surface(n, lattice(scheme.ratio, case.dim).n0) & particles.has_pressure
 
 
 def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:

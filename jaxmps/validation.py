@@ -4,6 +4,7 @@ Numbers may be arrays; inside a transformation, where an argument has no value, 
 """
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,14 @@ def between(name: str, value: Any, low: float, high: float, unit: str = "") -> A
 def at_most(name: str, value: Any, limit_name: str, limit: float, unit: str) -> Any:
     """`value` as a float of at most `limit`, else `ValueError`."""
     return _obey(name, value, unit, lambda x: x <= limit, f"at most {limit_name} ({limit:g} {unit})")
+
+
+def one_of(name: str, value: str, known: Iterable[str]) -> str:
+    """`value` if it is among the `known` names, else `ValueError` that lists them."""
+    known = tuple(known)
+    if value not in known:
+        raise ValueError(f"{name} must be one of {', '.join(known)}, got {value}")
+    return value
 
 
 def _obey(name: str, value: Any, unit: str, rule: Any, words: str) -> Any:

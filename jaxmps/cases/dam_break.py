@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, tank_case
-from jaxmps.validation import at_most, not_negative, positive
+from jaxmps.validation import at_most, positive
 
 
 def dam_break(
@@ -31,7 +31,6 @@ def dam_break(
     lengths = _check_lengths(
         spacing=spacing, width=width, height=height, tank_length=tank_length, tank_height=tank_height
     )
-    _check_fluid(gravity, density, viscosity, ratio)
     parameters: dict[str, Any] = dict(lengths, gravity=gravity, density=density, viscosity=viscosity, ratio=ratio)
     return tank_case(
         name="dam_break",
@@ -69,7 +68,6 @@ def dam_break_3d(
         spacing=spacing, width=width, height=height, tank_length=tank_length, tank_height=tank_height
     )
     at_most("spacing", spacing, "depth", positive("depth", depth, "m"), "m")
-    _check_fluid(gravity, density, viscosity, ratio)
     parameters: dict[str, Any] = dict(
         lengths, depth=depth, gravity=gravity, density=density, viscosity=viscosity, ratio=ratio
     )
@@ -97,13 +95,6 @@ def _check_lengths(**lengths: float) -> dict[str, float]:
     at_most("width", lengths["width"], "tank_length", lengths["tank_length"], "m")
     at_most("height", lengths["height"], "tank_height", lengths["tank_height"], "m")
     return lengths
-
-
-def _check_fluid(gravity: float, density: float, viscosity: float, ratio: float) -> None:
-    not_negative("gravity", gravity, "m/s^2")
-    positive("density", density, "kg/m^3")
-    not_negative("viscosity", viscosity, "m^2/s")
-    positive("ratio", ratio, "spacings")
 
 
 # Surge front: dimensionless time T = t √(2g/a) against Z = x_front / a, a the width of a column that is twice as high.

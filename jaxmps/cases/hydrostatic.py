@@ -1,5 +1,6 @@
 """Water at rest in a tank, in two and three dimensions."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmps._types import ArrayLike
@@ -31,10 +32,6 @@ def hydrostatic(
     for name, value in sides.items():
         at_most("spacing", spacing, name, positive(name, value, "m"), "m")
     not_negative("freeboard", freeboard, "m")
-    not_negative("gravity", gravity, "m/s^2")
-    positive("density", density, "kg/m^3")
-    not_negative("viscosity", viscosity, "m^2/s")
-    positive("ratio", ratio, "spacings")
     block = tuple(cells(value, spacing) for value in sides.values())
     return tank_case(
         name="hydrostatic",
@@ -63,6 +60,4 @@ def hydrostatic_pressure(
     elevation: ArrayLike, surface: float, density: float = 1000.0, gravity: float = 9.81
 ) -> Float[Array, "*points"]:
     """p = ρ g (H − y) [Pa] at the elevation y [m] under a surface at H [m]; zero above it."""
-    import jax.numpy as jnp
-
     return density * gravity * jnp.maximum(surface - jnp.asarray(elevation), 0.0)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Key
 from jaxmps.box import Box
 from jaxmps.case import Case
 from jaxmps.particles import Fluid, Kind, at_rest
-from jaxmps.validation import between
+from jaxmps.validation import between, not_negative, positive
 
 WATER = {"density": 1000.0, "viscosity": 1e-6}
 """kg/m³ and m²/s."""
@@ -83,6 +83,10 @@ def tank_case(
 
     Each particle stands in the middle of its cell: the first at l0 / 2 from floor and walls.
     """
+    not_negative("gravity", gravity, "m/s^2")
+    positive("density", density, "kg/m^3")
+    not_negative("viscosity", viscosity, "m^2/s")
+    positive("ratio", ratio, "spacings")
     dim = len(block)
     periodic = periodic or (False,) * dim
     layers = dummy_layers(ratio)

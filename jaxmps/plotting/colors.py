@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxmps.run import Run
-from jaxmps.validation import number
+from jaxmps.validation import number, one_of
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -27,9 +27,7 @@ class Quantity(NamedTuple):
 
 def quantity(color: str) -> Quantity:
     """The quantity of that name; `ValueError` if there is none."""
-    if color not in _QUANTITIES:
-        raise ValueError(f"color must be one of {', '.join(COLORS)}, got {color}")
-    return _QUANTITIES[color]
+    return _QUANTITIES[one_of("color", color, _QUANTITIES)]
 
 
 def scale(run: Run, shown: Quantity, limits: tuple[float, float] | None, frames: range) -> Any:

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxmps.particles import Kind
 from jaxmps.plotting.colors import DUMMY, WALL, quantity, scale
 from jaxmps.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FLUID, _WALL, _DUMMY = 0, 1, 2
 _LARGEST = (6.2, 4.6)  # of the axes, in inches
 _MARGIN = {"left": 0.75, "right": 1.2, "bottom": 0.6, "top": 0.5}  # in inches
 
@@ -131,7 +131,7 @@ def _extent(run: Run, frames: range) -> tuple[np.ndarray, np.ndarray]:
     places = [run.position[k][run.fluid[k]] for k in frames[:: -(-len(frames) // 40)]]
     fluid = np.concatenate(places)
     fluid = fluid[np.isfinite(fluid).all(axis=1)]
-    kinds = (_WALL,) if run.position.shape[2] == 3 else (_WALL, _DUMMY)
+    kinds = (Kind.WALL,) if run.position.shape[2] == 3 else (Kind.WALL, Kind.DUMMY)
     walls = run.position[frames[0]][np.isin(run.kind[frames[0]], kinds)]
     corners = np.percentile(fluid, [0.2, 99.8], axis=0) if len(fluid) else walls
     seen = np.concatenate([corners, walls])
@@ -164,7 +164,7 @@ def _flat(axes: Any, run: Run, ever: np.ndarray, low: np.ndarray, high: np.ndarr
             autolim=False,
         )
 
-    for kind, grey in ((_DUMMY, DUMMY), (_WALL, WALL)):
+    for kind, grey in ((Kind.DUMMY, DUMMY), (Kind.WALL, WALL)):
         discs(run.position[0][run.kind[0] == kind], facecolors=grey)
     axes.set(xlabel="x [m]", ylabel="y [m]", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal")
