@@ -73,6 +73,8 @@ def inspect(
             jnp.any(gone),
         ]
     )
+    # With pairs missing, nothing else that the step shows means anything: it has to be repeated.
+    raised = jnp.where(overflow, jnp.array([bit == Status.TABLE_FULL for bit in BITS]), raised)
     nobody = jnp.array(-1)
     culprit = jnp.stack([jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone)])
     info = StepInfo(

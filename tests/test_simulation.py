@@ -165,6 +165,15 @@ def test_a_list_overflow_is_told_by_a_rollout():
     assert (np.asarray(info.status) & Status.TABLE_FULL).all()
 
 
+def test_a_full_table_outranks_what_the_missing_pairs_cause():
+    # dt moves every particle by far more than a spacing; told of a full table, the host must repair and not give up.
+    case, scheme = dam(), mps.schemes.mps()
+    _, info = mps.rollout(case, scheme, mps.start(case, scheme, capacity=4), steps=1, dt=1.0)
+    assert float(info.travel[0]) > 1.0 and int(info.status[0]) == Status.TABLE_FULL
+    _, info = mps.rollout(case, scheme, mps.start(case, scheme, capacity=60), steps=1, dt=1.0)
+    assert int(info.status[0]) & Status.TIME_STEP_TOO_LARGE
+
+
 def test_at_rest_without_gravity_a_time_step_is_asked_for(scheme):
     with pytest.raises(ValueError, match="dt must be given"):
         mps.simulate(mps.cases.dam_break(spacing=0.1, gravity=0.0), scheme, until=0.1)
