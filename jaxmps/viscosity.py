@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmps.neighbors import Pairs
+from jaxmps.operators import laplacian
 
 
 class AbstractViscosity(eqx.Module):
@@ -40,7 +41,5 @@ class Viscous(AbstractViscosity):
     """
 
     def __call__(self, velocity, viscosity, pairs, w, n0, lam):
-        dim = velocity.shape[-1]
         nu = 0.5 * (viscosity[:, None] + viscosity[pairs.j])
-        difference = velocity[pairs.j] - velocity[:, None]
-        return (2.0 * dim / (lam * n0)) * jnp.einsum("nk,nkd->nd", nu * w, difference)
+        return laplacian(velocity, pairs, nu * w, n0, lam)

@@ -20,6 +20,7 @@ from jaxmps.operators import MinPressure, laplacian, number_density, pair_weight
 from jaxmps.operators.gradient import minimum
 from jaxmps.pressure import poisson_operator
 from jaxmps.stepping import step
+from jaxmps.viscosity import Inviscid, Viscous
 
 SPACING = 0.1
 DIMENSIONS = pytest.mark.parametrize("dim", [2, 3])
@@ -120,6 +121,25 @@ def test_laplacian_exchanges_without_loss():
     near, w = cloud()
     found = laplacian(jnp.array(CLOUD_PRESSURE), near, w, 6.5, 0.01)
     assert abs(float(found.sum())) < 1e-12 * float(jnp.abs(found).sum())
+
+
+@DIMENSIONS
+def test_viscous_acceleration_of_a_parabolic_flow_is_viscosity_times_its_curvature(dim):
+    b = block(dim)
+    u = jnp.sum(b.points**2, axis=-1)[:, None] * jnp.arange(1.0, dim + 1)
+    nu = jnp.full(len(b.points), 0.3)
+    found = Viscous()(u, nu, b.pairs, b.w, b.n0, b.lam)[b.interior]
+    np.testing.assert_allclose(found, np.broadcast_to(0.3 * 2 * dim * np.arange(1.0, dim + 1), found.shape), rtol=1e-9)
+    np.testing.assert_array_equal(Inviscid()(u, nu, b.pairs, b.w, b.n0, b.lam), 0.0)
+
+
+def test_phases_of_different_viscosity_exchange_momentum_without_loss():
+    near, w = cloud()
+    rng = np.random.default_rng(7)
+    u, nu = jnp.array(rng.normal(size=(150, near.r_ij.shape[-1]))), jnp.array(rng.uniform(0.1, 2.0, 150))
+    found = Viscous()(u, nu, near, w, 6.5, 0.01)
+    assert np.abs(found.sum(axis=0)).max() < 1e-12 * float(jnp.abs(found).sum())
+    assert float(jnp.sum(u * found)) < 0.0  # and take energy out of the flow
 
 
 @DIMENSIONS
