@@ -31,6 +31,11 @@ def not_negative(name: str, value: Any, unit: str = "") -> Any:
     return _obey(name, value, unit, lambda x: x >= 0.0, "zero or greater")
 
 
+def not_zero(name: str, value: Any, unit: str = "") -> Any:
+    """`value` as a finite float other than zero, else `ValueError`."""
+    return _obey(name, value, unit, lambda x: x != 0.0, "other than zero")
+
+
 def between(name: str, value: Any, low: float, high: float, unit: str = "") -> Any:
     """`value` as a float within `[low, high]`, else `ValueError`."""
     limits = f"between {low:g} and {high:g}{' ' + unit if unit else ''}"

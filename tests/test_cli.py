@@ -267,7 +267,7 @@ def test_lists_name_all_cases_and_schemes_with_their_arguments():
 def test_every_case_and_scheme_is_built_from_its_defaults():
     for case in case_factories():
         for scheme in scheme_factories():
-            made, method = build(case, scheme, 0.1, [])
+            made, method = build(case, scheme, None, [])
             assert (made.name, method.name) == (case, scheme)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxmps.case import Case
-from jaxmps.cases.lattice import WATER, cells, tank_case
+from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.validation import at_most, positive
 
 
@@ -42,8 +42,7 @@ def dam_break(
         spacing=spacing,
         ratio=ratio,
         gravity=gravity,
-        density=density,
-        viscosity=viscosity,
+        fluids=materials({"density": density}, {"viscosity": viscosity}),
     )
 
 
@@ -82,8 +81,7 @@ def dam_break_3d(
         spacing=spacing,
         ratio=ratio,
         gravity=gravity,
-        density=density,
-        viscosity=viscosity,
+        fluids=materials({"density": density}, {"viscosity": viscosity}),
     )
 
 

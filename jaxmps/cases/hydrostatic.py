@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from jaxmps._types import ArrayLike
 from jaxmps.case import Case
-from jaxmps.cases.lattice import WATER, cells, tank_case
+from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.validation import at_most, not_negative, positive
 
 
@@ -51,8 +51,7 @@ def hydrostatic(
         spacing=spacing,
         ratio=ratio,
         gravity=gravity,
-        density=density,
-        viscosity=viscosity,
+        fluids=materials({"density": density}, {"viscosity": viscosity}),
     )
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -33,6 +33,22 @@ def cells(length: float, spacing: float) -> int:
     return round(length / spacing)
 
 
+def lattice_points(*ranges: range) -> np.ndarray:
+    """Integer points `(n, d)` of a lattice with these ranges along its axes, the last axis first to vary."""
+    total = math.prod(len(r) for r in ranges)
+    if total > _MOST_POINTS:
+        raise ValueError(f"spacing must leave at most {_MOST_POINTS:.0e} lattice points, got {total:.1e}")
+    return np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
+
+
+def materials(density: Mapping[str, float], viscosity: Mapping[str, float]) -> Fluid:
+    """One phase for each density [kg/m³] and kinematic viscosity [m²/s], checked under the names of their arguments."""
+    return Fluid(
+        [positive(name, value, "kg/m^3") for name, value in density.items()],
+        [not_negative(name, value, "m^2/s") for name, value in viscosity.items()],
+    )
+
+
 def block_in_tank(
     block: tuple[int, ...],
     inside: tuple[int, ...],
@@ -51,10 +67,7 @@ def block_in_tank(
         for size, wraps in zip(inside[:-1], periodic[:-1], strict=True)
     ]
     ranges.append(range(-thick, max(wall_height, block[-1])))
-    total = math.prod(len(r) for r in ranges)
-    if total > _MOST_POINTS:
-        raise ValueError(f"spacing must leave at most {_MOST_POINTS:.0e} lattice points in the tank, got {total:.1e}")
-    points = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
+    points = lattice_points(*ranges)
     limits = np.array([*(size - 1 for size in inside[:-1]), np.iinfo(int).max])
     depth = np.maximum(np.maximum(-points, points - limits), 0).max(axis=1)
     fluid = np.all((points >= 0) & (points < np.array(block)), axis=1)
@@ -75,29 +88,35 @@ def tank_case(
     spacing: float,
     ratio: float,
     gravity: float,
-    density: float,
-    viscosity: float,
+    fluids: Fluid,
+    phase: Callable[[np.ndarray], np.ndarray] | None = None,
     periodic: tuple[bool, ...] | None = None,
+    first: tuple[float, ...] | None = None,
 ) -> Case:
-    """A block of one fluid at rest in a tank whose inner lower corner is the origin. `headroom`: top of the domain [m].
+    """A block of fluid at rest in a tank whose inner lower corner is the origin. `headroom`: top of the domain [m].
 
-    Each particle stands in the middle of its cell: the first at l0 / 2 from floor and walls.
+    Each particle stands in the middle of its cell, the first at l0 / 2 from floor and walls, unless `first` has another
+    place for it [spacings]. `phase` finds the phases of the block's particles from their positions `(n, d)` [m], or −1
+    where the block has no particle; walls, and all particles if there is no `phase`, are of phase 0.
     """
     not_negative("gravity", gravity, "m/s^2")
-    positive("density", density, "kg/m^3")
-    not_negative("viscosity", viscosity, "m^2/s")
     positive("ratio", ratio, "spacings")
     dim = len(block)
     periodic = periodic or (False,) * dim
     layers = dummy_layers(ratio)
     points, kind = block_in_tank(block, inside, wall_height, layers, periodic)
+    position = (points + np.array(first or (0.5,) * dim)) * spacing
+    phases = np.zeros(len(kind), int)
+    if phase is not None:
+        phases[kind == Kind.FLUID] = phase(position[kind == Kind.FLUID])
+    there = phases >= 0
     margin = (1 + layers) * spacing
     lower = [0.0 if p else -margin for p in periodic]
     upper = [size * spacing + (0.0 if p else margin) for size, p in zip(inside, periodic, strict=True)]
     upper[-1] = headroom
     return Case(
-        particles=at_rest((points + 0.5) * spacing, kind),
-        fluids=Fluid([density], [viscosity]),
+        particles=at_rest(position[there], kind[there], phases[there]),
+        fluids=fluids,
         gravity=[0.0] * (dim - 1) + [-gravity],
         spacing=spacing,
         box=Box(tuple(lower), tuple(upper), periodic),
