@@ -1,5 +1,11 @@
 """Quantities that are measured on a flow."""
 
-from jaxmps.diagnostics.energy import Energy as Energy
-from jaxmps.diagnostics.energy import mechanical_energy as mechanical_energy
+from jaxmps.diagnostics.layers import deep_surface as deep_surface
+from jaxmps.diagnostics.layers import mean_height as mean_height
+from jaxmps.diagnostics.layers import speed as speed
+from jaxmps.diagnostics.layers import surface_height as surface_height
+from jaxmps.diagnostics.separation import breakup as breakup
+from jaxmps.diagnostics.separation import nearest as nearest
 from jaxmps.diagnostics.surface import surge_front as surge_front
+from jaxmps.energy import Energy as Energy
+from jaxmps.energy import mechanical_energy as mechanical_energy

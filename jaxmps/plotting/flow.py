@@ -51,6 +51,7 @@ class Scene:
         limits: tuple[float, float] | None,
         frames: range,
         ax: Any = None,
+        bar: bool = True,
     ):
         self.run, self._shown = run, quantity(color)
         self._solid = run.position.shape[2] == 3
@@ -64,7 +65,8 @@ class Scene:
         mapped = {"cmap": self.colormap, "norm": self._norm}
         self.fluid = (_solid if self._solid else _flat)(self.axes, run, self._ever, low, high, mapped)
         self.title = self.axes.set_title("", loc="left", fontsize=11)
-        self._color_bar(extend)
+        if bar:
+            self._color_bar(extend)
         step = np.diff(run.time).min() if len(run) > 1 else 0.0
         self._digits = int(np.clip(1 - np.floor(np.log10(step)), 1, 9)) if step > 0 else 3
 
