@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import Scalar, as_array
 from jaxmps.neighbors import Pairs
+from jaxmps.phases import share_of_displacement
 
 
 class AbstractCollision(eqx.Module):
@@ -62,7 +63,6 @@ class PairCollision(AbstractCollision):
         closest = jnp.clip(-jnp.sum(pairs.r_ij * travel, axis=-1) / jnp.where(length > 0, length, 1.0), 0.0, 1.0)
         squared = jnp.sum((pairs.r_ij + closest[..., None] * travel) ** 2, axis=-1)
         hits = pairs.present & (squared < (self.distance * spacing) ** 2) & (approach < 0)
-        share = density[pairs.j] / (density[:, None] + density[pairs.j])
-        mu = jnp.where(moves[pairs.j], share, 1.0)
+        mu = share_of_displacement(density, moves, pairs)
         impulse = (1.0 + self.restitution) * jnp.where(hits, mu * approach, 0.0)
         return jnp.where(moves[:, None], jnp.einsum("nk,nkd->nd", impulse, e_ij), 0.0)

@@ -18,11 +18,14 @@ def weight(distance: Float[Array, "*pairs"], radius: float) -> Float[Array, "*pa
 
 
 class Lattice(NamedTuple):
-    """Constants of a full square or cubic lattice: n0 = Σ w, λ / l0² = Σ r² w / Σ w / l0² ([N11] Eqs. 8, 9)."""
+    """Constants of a full square or cubic lattice: n0 = Σ w, λ / l0² = Σ r² w / Σ w / l0² ([N11] Eqs. 8, 9), number of
+    neighbors, and K = r_e Σ (1 / r) / (D n0), by which the rate of n overstates −n0 ∇·u.
+    """
 
     n0: float
     lam: float
     neighbors: int
+    k: float
 
 
 @functools.cache
@@ -38,4 +41,5 @@ def lattice(ratio: float, dim: int) -> Lattice:
     weights = [ratio / r - 1.0 for r in distances]
     n0 = math.fsum(weights)
     lam = math.fsum(w * r * r for w, r in zip(weights, distances, strict=True)) / n0
-    return Lattice(n0, lam, len(distances))
+    k = ratio * math.fsum(1.0 / r for r in distances) / (dim * n0)
+    return Lattice(n0, lam, len(distances), k)

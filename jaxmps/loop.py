@@ -20,6 +20,7 @@ from jaxmps.schemes import Scheme
 from jaxmps.status import FATAL, Event, Outcome, Status
 from jaxmps.stepping import State, largest_step, step
 
+_COLLAPSE = 1e-3  # of the largest time step so far: speeds a thousand times as high are not a flow any more
 _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the progress bar
 
 
@@ -38,7 +39,7 @@ class Loop:
         self.case, self.scheme, self.state, self.dt, self.key = case, scheme, state, dt, key
         self.log = empty_log(case.dim)
         self._noted: tuple[Event, ...] = ()
-        self._chunk = 16
+        self._chunk, self._largest = 16, 0.0
         full = lattice(scheme.ratio, case.dim).neighbors
         self._most = min(40 * full, len(case.particles.kind))
 
@@ -46,8 +47,14 @@ class Loop:
     def outcome(self) -> Outcome:
         return Outcome(events(self.log) + self._noted)
 
-    def note(self, bit: Status) -> None:
-        event = Event(int(bit), float(self.state.time), int(self.state.step))
+    def note(
+        self,
+        bit: Status,
+        particle: int | None = None,
+        position: tuple[float, ...] | None = None,
+        value: float | None = None,
+    ) -> None:
+        event = Event(int(bit), float(self.state.time), int(self.state.step), particle, position, value)
         self._noted = (*self._noted, event)
 
     def reach(self, target: float, bar: Meter) -> None:
@@ -61,7 +68,7 @@ class Loop:
             carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
             self.state, timer, self.log = carry
             bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
-            if int(status) & FATAL:
+            if int(status) & FATAL or self._collapsed():
                 return
             if int(status) & Status.TABLE_FULL and not self._enlarge():
                 return
@@ -69,6 +76,23 @@ class Loop:
             self._chunk = int(np.clip(self._chunk * _CHUNK_SECONDS / seconds, 1, min(2 * self._chunk, 4096)))
         time = jnp.asarray(target, self.state.time.dtype)
         self.state = eqx.tree_at(lambda s: s.time, self.state, time)
+
+    def _collapsed(self) -> bool:
+        """Whether the scheme's time step has become hopelessly small; notes the fastest particle."""
+        if self.dt is not None:
+            return False
+        limit = float(_largest_step(self.case, self.scheme, self.state.particles))
+        if not np.isfinite(limit):
+            return False
+        self._largest = max(self._largest, limit)
+        if limit >= _COLLAPSE * self._largest:
+            return False
+        particles = self.state.particles
+        speed = np.linalg.norm(np.where(np.asarray(particles.fluid)[:, None], particles.velocity, 0.0), axis=1)
+        fastest = int(np.argmax(speed))
+        place = tuple(np.asarray(particles.position[fastest]).tolist())
+        self.note(Status.TIME_STEP_COLLAPSED, fastest, place, float(speed[fastest]))
+        return True
 
     def _enlarge(self) -> bool:
         neighbors = grow(self.state.neighbors, self.state.particles.position)
@@ -107,3 +131,4 @@ def _advance_chunk(case, scheme, carry, dt, key, most_steps):
 
 
 _advance = jit(_advance_chunk)
+_largest_step = jit(largest_step)

@@ -2,15 +2,18 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar
 from jaxmps.case import Case
-from jaxmps.diagnostics.energy import Energy, mechanical_energy
+from jaxmps.energy import Energy, mechanical_energy
 from jaxmps.linear import Convergence
+from jaxmps.neighbors import Pairs
 from jaxmps.particles import Kind, Particles
+from jaxmps.stabilization import Push
 from jaxmps.status import Event, Status
 
 BITS = (
@@ -28,7 +31,8 @@ class StepInfo(NamedTuple):
 
     `status`: bits of `Status`; `culprit`: for each of `BITS` the particle it is about; `residual`: true relative
     residual of the pressure solve; `travel`: largest displacement in spacings; `max_speed` [m/s]; `surface_count`,
-    `escaped`: numbers of particles; `energy` [J/kg]; `dt` [s].
+    `escaped`: numbers of particles; `closest`: distance of the closest pair in spacings, before the correction;
+    `stabilized`: pairs that the stabilizer kept apart; `work`: energy [J/kg] that it gave; `energy` [J/kg]; `dt` [s].
     """
 
     status: Int[Array, "*steps"]
@@ -38,6 +42,9 @@ class StepInfo(NamedTuple):
     max_speed: Float[Array, "*steps"]
     surface_count: Int[Array, "*steps"]
     escaped: Int[Array, "*steps"]
+    closest: Float[Array, "*steps"]
+    stabilized: Int[Array, "*steps"]
+    work: Float[Array, "*steps"]
     energy: Energy
     dt: Float[Array, "*steps"]
 
@@ -46,7 +53,9 @@ def inspect(
     case: Case,
     old: Particles,
     new: Particles,
+    near: Pairs,
     surface: Bool[Array, " n"],
+    push: Push,
     dt: Scalar,
     convergence: Convergence,
     overflow: Bool[Array, ""],
@@ -86,10 +95,22 @@ def inspect(
         max_speed=jnp.sqrt(lax.stop_gradient(jnp.max(jnp.where(kept.fluid, squared_speed, 0.0)))),
         surface_count=jnp.sum(surface),
         escaped=jnp.sum(gone),
+        closest=jnp.min(jnp.where(near.present & old.fluid[:, None], near.distance, jnp.inf)) / case.spacing,
+        stabilized=push.pairs,
+        work=_work(case, new, push),
         energy=mechanical_energy(kept, case.density, case.gravity),
         dt=dt,
     )
     return kept, info
+
+
+def _work(case: Case, new: Particles, push: Push) -> Scalar:
+    """Energy [J/kg] that the stabilizer has given to the fluid: kinetic, and potential by its displacement."""
+    before = eqx.tree_at(
+        lambda p: (p.position, p.velocity), new, (new.position - push.displacement, new.velocity - push.velocity)
+    )
+    energies = (mechanical_energy(p, case.density, case.gravity).total for p in (new, before))
+    return jnp.subtract(*energies)
 
 
 class Log(NamedTuple):
@@ -98,6 +119,9 @@ class Log(NamedTuple):
     steps: Int[Array, ""]
     residual: Scalar
     max_speed: Scalar
+    closest: Scalar
+    stabilized: Scalar
+    work: Scalar
     count: Int[Array, " bits"]
     step: Int[Array, " bits"]
     time: Float[Array, " bits"]
@@ -109,7 +133,8 @@ class Log(NamedTuple):
 def empty_log(dim: int) -> Log:
     none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
     count, place = jnp.zeros((), jnp.int32), jnp.zeros((len(BITS), dim))
-    return Log(count, jnp.zeros(()), jnp.zeros(()), none, none, zero, none, place, zero)
+    sums = (jnp.zeros(()), jnp.zeros(()), jnp.array(jnp.inf), jnp.zeros(()), jnp.zeros(()))
+    return Log(count, *sums, none, none, zero, none, place, zero)
 
 
 def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Particles, time: Scalar, step: Array) -> Log:
@@ -123,6 +148,9 @@ def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Parti
         steps=log.steps + accepted,
         residual=log.residual + jnp.where(accepted, info.residual, 0.0),
         max_speed=jnp.where(accepted, jnp.maximum(log.max_speed, info.max_speed), log.max_speed),
+        closest=jnp.where(accepted, jnp.minimum(log.closest, info.closest), log.closest),
+        stabilized=log.stabilized + jnp.where(accepted, info.stabilized, 0),
+        work=log.work + jnp.where(accepted, info.work, 0.0),
         count=log.count + jnp.where(raised, amount, 0).astype(log.count.dtype),
         step=jnp.where(first, step, log.step).astype(log.step.dtype),
         time=jnp.where(first, time, log.time),

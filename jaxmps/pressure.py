@@ -1,6 +1,7 @@
 """The pressure Poisson equation (PPE): its sources, its matrix and its solution."""
 
 import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,14 +10,23 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxmps._types import Scalar, as_array
 from jaxmps.linear import AbstractOperator, Convergence, solve
 from jaxmps.neighbors import Pairs
+from jaxmps.phases import mean_density
+
+
+class Compression(NamedTuple):
+    """Number density n_i, its rate of change Dn/Dt_i [1/s] and the divergence ⟨∇·u⟩_i [1/s] at an instant."""
+
+    n: Float[Array, " n"]
+    rate: Float[Array, " n"]
+    divergence: Float[Array, " n"]
 
 
 class AbstractSource(eqx.Module):
     """A source of the PPE."""
 
     @abc.abstractmethod
-    def __call__(self, n: Float[Array, " n"], n0: float, dt: Scalar) -> Float[Array, " n"]:
-        """The right-hand side S_i [1/s²] of ∇·(∇p / ρ) = S, from the predicted number density n*."""
+    def __call__(self, predicted: Compression, current: Compression, n0: float, dt: Scalar) -> Float[Array, " n"]:
+        """The right-hand side S_i [1/s²] of ∇·(∇p / ρ) = S, from the predicted state * and the current one, step k."""
 
 
 class DensityDeviation(AbstractSource):
@@ -28,14 +38,54 @@ class DensityDeviation(AbstractSource):
 
     relaxation: Scalar = eqx.field(converter=as_array, default=0.2)
 
-    def __call__(self, n, n0, dt):
-        return -(self.relaxation / dt**2) * (n - n0) / n0
+    def __call__(self, predicted, current, n0, dt):
+        return -(self.relaxation / dt**2) * (predicted.n - n0) / n0
+
+
+class HigherOrderSource(AbstractSource):
+    """S_i = −(1 / (n0 Δt)) (Dn/Dt)*_i (HS; Khayyer & Gotoh 2009).
+
+    The sign is the physical one: where u* compresses, n rises, S < 0 and p > 0. (In print the rate is that of the
+    correction, which is the opposite.) It has no memory of n itself.
+    """
+
+    def __call__(self, predicted, current, n0, dt):
+        return -predicted.rate / (n0 * dt)
+
+
+class ErrorCompensatingSource(AbstractSource):
+    """S_i = −(1 / (n0 Δt)) ((Dn/Dt)* + |α| (Dn/Dt)^k + |(Dn/Dt)^k| α), α = (n^k − n0) / n0 (ECS; Khayyer & Gotoh 2011).
+
+    The error of step k is compensated where it grows: both terms cancel where α and the rate differ in sign, for then
+    the error is shrinking by itself. So a static error of the density stays.
+    """
+
+    def __call__(self, predicted, current, n0, dt):
+        alpha = (current.n - n0) / n0
+        compensation = jnp.abs(alpha) * current.rate + jnp.abs(current.rate) * alpha
+        return -(predicted.rate + compensation) / (n0 * dt)
+
+
+class CorrectedDivergence(AbstractSource):
+    """S_i = ⟨∇·u*⟩_i / Δt − (γ / Δt²) (n*_i − n0) / n0, with the divergence of the corrected gradient (not in [T13]).
+
+    HS keeps n_i constant, which is incompressible on a lattice but not on one that has been stretched, and it jumps
+    whenever a neighbor crosses r_e, for the slope of the weight does not vanish there. This divergence is exact for
+    linear velocities in any arrangement, and continuous. It has no memory of n: γ restores that, as in
+    `DensityDeviation`. Take γ of some hundredths in a tank, where voids would open within tenths of a second, and zero
+    in a body under tension, where n < n0 along a stretched surface would pull it inward.
+    """
+
+    restoring: Scalar = eqx.field(converter=as_array, default=0.03)
+
+    def __call__(self, predicted, current, n0, dt):
+        return predicted.divergence / dt - (self.restoring / dt**2) * (predicted.n - n0) / n0
 
 
 class PoissonOperator(AbstractOperator):
-    """A p_i = Σ_j (2 D / (λ n0)) (2 / (ρ_i + ρ_j)) w_ij (p_i − p_j) for unknown p_i, and A p_i = p_i for known ones.
+    """A p_i = Σ_j c_ij (2 / (ρ_i + ρ_j)) (p_i − p_j) for unknown p_i, and A p_i = p_i for known ones.
 
-    The negative Laplacian of [N11] Eq. 7 with the density of the pair. Couplings to known pressures, which are zero
+    The negative Laplacian with the density of the pair. Couplings to known pressures, which are zero
     here, stay on the diagonal: A is symmetric and, where each part of the flow has a free surface, positive definite.
     Stored slot by slot, `(k, n)`, and summed in a loop that is unrolled: twice as fast on CPUs as `(n, k)`.
     """
@@ -56,16 +106,10 @@ class PoissonOperator(AbstractOperator):
 
 
 def poisson_operator(
-    pairs: Pairs,
-    w: Float[Array, "n k"],
-    density: Float[Array, " n"],
-    unknown: Bool[Array, " n"],
-    n0: float,
-    lam: float,
+    pairs: Pairs, coefficient: Float[Array, "n k"], density: Float[Array, " n"], unknown: Bool[Array, " n"]
 ) -> PoissonOperator:
-    """The matrix of the PPE; `w` is zero for pairs without pressure, `unknown` marks the rows to solve for."""
-    dim = pairs.r_ij.shape[-1]
-    conductance = (2.0 * dim / (lam * n0)) * 2.0 / (density[:, None] + density[pairs.j]) * w
+    """The matrix of the PPE from the `coefficient` c_ij of the Laplacian; `unknown` marks the rows to solve for."""
+    conductance = coefficient / mean_density(density, pairs)
     rows = jnp.where(unknown[:, None], conductance, 0.0)
     diagonal = jnp.sum(rows, axis=-1)
     coupling = jnp.where(unknown[pairs.j], rows, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxmps._compilation import jit
 from jaxmps.case import Case
 from jaxmps.description import describe, versions
-from jaxmps.diagnostics.energy import mechanical_energy
+from jaxmps.energy import mechanical_energy
 from jaxmps.io import Writer, read
 from jaxmps.monitor import Log
 from jaxmps.particles import Kind
@@ -91,6 +91,7 @@ class Recorder:
         """The run, with its summary."""
         seconds = clock.perf_counter() - self._began
         steps, kind = int(log.steps), np.asarray(state.particles.kind)
+        # Of the stabilizer: mean number of pairs kept apart, and the energy that it gave in all [J/kg].
         summary = {
             "case": self._case.name,
             "scheme": self._metadata["scheme"]["name"],
@@ -103,6 +104,9 @@ class Recorder:
             "energy_start": self._energies[0],
             "energy_end": self._energies[-1],
             "max_speed": float(log.max_speed),
+            "closest_pair": float(log.closest) if np.isfinite(log.closest) else None,
+            "stabilized_pairs": float(log.stabilized) / max(steps, 1),
+            "stabilizer_work": float(log.work),
             "mean_residual": float(log.residual) / max(steps, 1),
             "wall_seconds": seconds,
             "particle_steps_per_second": steps * len(kind) / seconds,

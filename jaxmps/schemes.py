@@ -1,12 +1,23 @@
 """A scheme is a choice of one model of each kind; the named ones are those of the papers."""
 
+import dataclasses
+
 import equinox as eqx
 
 from jaxmps._types import ArrayLike, Scalar, as_array
-from jaxmps.collision import AbstractCollision, PairCollision
-from jaxmps.free_surface import AbstractFreeSurface, DensityThreshold
-from jaxmps.operators import AbstractGradient, MinPressure
-from jaxmps.pressure import AbstractSource, DensityDeviation
+from jaxmps.collision import AbstractCollision, NoCollision, PairCollision
+from jaxmps.free_surface import (
+    AbstractFreeSurface,
+    AbstractSurfaceCondition,
+    AtCenters,
+    DensityThreshold,
+    HalfSpacing,
+    OneSided,
+)
+from jaxmps.operators import CMPS, AbstractGradient, AbstractLaplacian, Corrected, KernelLaplacian, MinPressure
+from jaxmps.phases import AbstractInterface, OwnDensity, PairedDensity
+from jaxmps.pressure import AbstractSource, CorrectedDivergence, DensityDeviation, HigherOrderSource
+from jaxmps.stabilization import AbstractStabilizer, DynamicStabilization, NoStabilization
 from jaxmps.stochastic import AbstractVelocityNoise, NoNoise
 from jaxmps.validation import between
 from jaxmps.viscosity import AbstractViscosity, Inviscid, Viscous
@@ -35,6 +46,10 @@ class Scheme(eqx.Module):
     source: AbstractSource
     gradient: AbstractGradient
     collision: AbstractCollision
+    laplacian: AbstractLaplacian = eqx.field(default_factory=KernelLaplacian)
+    interface: AbstractInterface = eqx.field(default_factory=PairedDensity)
+    surface_condition: AbstractSurfaceCondition = eqx.field(default_factory=AtCenters)
+    stabilizer: AbstractStabilizer = eqx.field(default_factory=NoStabilization)
     time_step: TimeStep = eqx.field(default_factory=TimeStep)
     clip_pressure: bool = eqx.field(static=True, default=True)
     ratio: float = eqx.field(static=True, default=2.1)
@@ -85,4 +100,139 @@ def mps(
         ratio=ratio,
         tolerance=tolerance,
         name="mps",
+    )
+
+
+def cmps_hs(
+    *,
+    beta: ArrayLike = 0.97,
+    collision_distance: ArrayLike = 0.9,
+    restitution: ArrayLike = 0.2,
+    courant: ArrayLike = 0.1,
+    own_density: bool = False,
+    viscous: bool = False,
+    ratio: float = 2.1,
+    tolerance: float = 1e-5,
+) -> Scheme:
+    """CMPS-HS ([T13] §3.2): antisymmetric gradient, every pair repels, pressure not below zero; higher-order source.
+
+    Collisions closer than `collision_distance` l0 (0 to 1) with `restitution` (0 to 1) are not in the paper; without
+    them bursts of velocity end a run of two fluids within 0.2 s. The other arguments are those of `mps_hs_gc`. With
+    `own_density` pressure forces conserve momentum at any densities, with paired densities only where they are equal.
+    """
+    between("collision_distance", collision_distance, 0.0, 1.0)
+    between("restitution", restitution, 0.0, 1.0)
+    published = _published(
+        "cmps_hs", CMPS(), NoStabilization(), beta, courant, own_density, viscous, ratio, tolerance, True
+    )
+    return dataclasses.replace(published, collision=PairCollision(collision_distance, restitution))
+
+
+def mps_hs_gc(
+    *,
+    beta: ArrayLike = 0.97,
+    courant: ArrayLike = 0.1,
+    own_density: bool = False,
+    viscous: bool = False,
+    ratio: float = 2.1,
+    tolerance: float = 1e-5,
+) -> Scheme:
+    """MPS-HS-GC ([T13] §3.2): corrected gradient, which attracts under tension, and higher-order source. It breaks up.
+
+    `beta` of the free surface (0 to 1), Courant number `courant` (0 to 1); `own_density` divides the pressure gradient
+    by the particle's own density, as printed in [T13] Eq. 11, instead of that of each pair; `viscous` adds ν ∇²u.
+    `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the pressure solve. Raises `ValueError` for a value out of its
+    range.
+    """
+    gradient, stabilizer = Corrected(), NoStabilization()
+    return _published("mps_hs_gc", gradient, stabilizer, beta, courant, own_density, viscous, ratio, tolerance, False)
+
+
+def mps_hs_gc_ds(
+    *,
+    alpha_ds: ArrayLike | None = None,
+    beta: ArrayLike = 0.97,
+    courant: ArrayLike = 0.1,
+    own_density: bool = False,
+    viscous: bool = False,
+    ratio: float = 2.1,
+    tolerance: float = 1e-5,
+) -> Scheme:
+    """MPS-HS-GC-DS ([T13] §2): MPS-HS-GC with dynamic stabilization, as published.
+
+    `alpha_ds` in spacings (0 to 1.2), by default 1 − `courant` ([T13] Eq. 9); the others are those of `mps_hs_gc`.
+    """
+    gradient, stabilizer = Corrected(), _stabilizer(alpha_ds, courant)
+    name = "mps_hs_gc_ds"
+    return _published(name, gradient, stabilizer, beta, courant, own_density, viscous, ratio, tolerance, False)
+
+
+def mps_cd_gc_ds(
+    *,
+    alpha_ds: ArrayLike | None = None,
+    kept_velocity: ArrayLike = 0.2,
+    restoring: ArrayLike = 0.03,
+    courant: ArrayLike = 0.1,
+    own_density: bool = False,
+    viscous: bool = False,
+    ratio: float = 2.1,
+    tolerance: float = 1e-5,
+) -> Scheme:
+    """MPS-HS-GC-DS with four changes that keep the pressure free of noise and the surface whole. Not published.
+
+    The source is the divergence of the corrected gradient instead of HS, with the density restored by the fraction
+    `restoring` in each step (0 to 1; zero for a body under tension, see `CorrectedDivergence`, CD); surface particles
+    are told by the one-sidedness of their neighbors (`OneSided`); the pressure is zero half a spacing outside them
+    (`HalfSpacing`); and particles keep only the part `kept_velocity` (0 to 1) of the velocity of the stabilizing
+    displacement. The other arguments are those of `mps_hs_gc_ds`.
+    """
+    between("kept_velocity", kept_velocity, 0.0, 1.0)
+    between("restoring", restoring, 0.0, 1.0)
+    stabilizer = _stabilizer(alpha_ds, courant, kept_velocity)
+    published = _published(
+        "mps_cd_gc_ds", Corrected(), stabilizer, 0.97, courant, own_density, viscous, ratio, tolerance, False
+    )
+    return dataclasses.replace(
+        published, source=CorrectedDivergence(restoring), free_surface=OneSided(), surface_condition=HalfSpacing()
+    )
+
+
+def _stabilizer(alpha_ds: ArrayLike | None, courant: ArrayLike, kept_velocity: ArrayLike = 1.0) -> DynamicStabilization:
+    between("courant", courant, 0.0, 1.0)
+    alpha_ds = 1.0 - as_array(courant) if alpha_ds is None else alpha_ds
+    between("alpha_ds", alpha_ds, 0.0, 1.2, "spacings")
+    return DynamicStabilization(alpha_ds, kept_velocity)
+
+
+def _published(
+    name: str,
+    gradient: AbstractGradient,
+    stabilizer: AbstractStabilizer,
+    beta: ArrayLike,
+    courant: ArrayLike,
+    own_density: bool,
+    viscous: bool,
+    ratio: float,
+    tolerance: float,
+    clip_pressure: bool,
+) -> Scheme:
+    """What the schemes of [T13] share: higher-order source, no collisions, one effective radius (it gives none)."""
+    between("beta", beta, 0.0, 1.0)
+    between("courant", courant, 0.0, 1.0)
+    between("ratio", ratio, 1.5, 6.0, "spacings")
+    between("tolerance", tolerance, 1e-15, 0.1)
+    return Scheme(
+        viscosity=Viscous() if viscous else Inviscid(),
+        noise=NoNoise(),
+        free_surface=DensityThreshold(beta),
+        source=HigherOrderSource(),
+        gradient=gradient,
+        collision=NoCollision(),
+        interface=OwnDensity() if own_density else PairedDensity(),
+        stabilizer=stabilizer,
+        time_step=TimeStep(courant),
+        clip_pressure=clip_pressure,
+        ratio=ratio,
+        tolerance=tolerance,
+        name=name,
     )

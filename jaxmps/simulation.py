@@ -58,7 +58,8 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
 @jit
 def _first_look(case: Case, scheme: Scheme, neighbors: Neighbors) -> tuple[Array, Array]:
     near = pairs(neighbors, case.particles, case.spacing)
-    return density_and_surface(case, scheme, case.particles, pair_weight(near, scheme.ratio * case.spacing))
+    w = pair_weight(near, scheme.ratio * case.spacing)
+    return density_and_surface(case, scheme, case.particles, near, w)
 
 
 def rollout(

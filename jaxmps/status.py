@@ -16,9 +16,10 @@ class Status(enum.IntFlag):
     ESCAPED = 16
     INTERRUPTED = 32
     CLUSTERED = 64
+    TIME_STEP_COLLAPSED = 128
 
 
-FATAL = Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED
+FATAL = Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED | Status.TIME_STEP_COLLAPSED
 
 MESSAGES = {
     Status.NOT_FINITE: "position, velocity or pressure is no longer finite",
@@ -27,6 +28,7 @@ MESSAGES = {
     Status.NOT_CONVERGED: "the pressure solve missed its tolerance",
     Status.ESCAPED: "a particle left the domain and was taken out of the flow",
     Status.INTERRUPTED: "interrupted before its end",
+    Status.TIME_STEP_COLLAPSED: "the time step has collapsed: a particle is so fast that the run would never end",
     Status.CLUSTERED: "particles have collapsed into clusters: the neighbor table would have to grow without bound",
 }
 
@@ -64,6 +66,7 @@ class Event:
 _VALUE_NAMES = {
     Status.TIME_STEP_TOO_LARGE: "displacement in spacings",
     Status.NOT_CONVERGED: "relative residual",
+    Status.TIME_STEP_COLLAPSED: "speed in m/s",
 }
 
 

@@ -8,10 +8,10 @@ from jaxmps._types import Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
 from jaxmps.monitor import StepInfo, inspect
-from jaxmps.neighbors import Neighbors, pairs, update
-from jaxmps.operators import number_density, pair_weight
+from jaxmps.neighbors import Neighbors, Pairs, pairs, update
+from jaxmps.operators import density_rate, divergence, number_density, pair_weight
 from jaxmps.particles import Particles
-from jaxmps.pressure import poisson_operator, solve_pressure
+from jaxmps.pressure import Compression, poisson_operator, solve_pressure
 from jaxmps.schemes import Scheme
 
 
@@ -38,40 +38,55 @@ def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, "
     # Explicit: viscosity, gravity, noise and collisions give u* and r*.
     neighbors = update(state.neighbors, old.position)
     near = pairs(neighbors, old, spacing)
+    w = pair_weight(near, radius)
+    current = compression(old.velocity, near, w, radius, n0)
     viscosity = case.fluids.viscosity[old.phase]
-    viscous = scheme.viscosity(old.velocity, viscosity, near, pair_weight(near, radius), n0, lam)
+    viscous = scheme.viscosity(old.velocity, viscosity, near, w, n0, lam)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
     u = jnp.where(moving, scheme.noise(u, key), u)
     u = u + scheme.collision(u, near, density, moves, spacing, dt)
     predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (old.position + dt * u, u))
 
-    # Implicit: the predicted number density gives surface and source, the PPE the pressure.
+    # Implicit: the predicted state gives surface and source, the PPE the pressure.
     neighbors = update(neighbors, predicted.position)
     near = pairs(neighbors, predicted, spacing)
     w = pair_weight(near, radius)
-    n, surface = density_and_surface(case, scheme, old, w)
+    n, surface = density_and_surface(case, scheme, old, near, w)
+    source = scheme.source(compression(u, near, w, radius, n0), current, n0, dt)
     unknown = old.has_pressure & ~surface
+    all_w = w
     w = jnp.where(old.has_pressure[:, None] & old.has_pressure[near.j], w, 0.0)
-    operator = poisson_operator(near, w, density, unknown, n0, lam)
-    source = scheme.source(n, n0, dt)
+    coefficient = scheme.laplacian(near, w, scheme.ratio, spacing)
+    coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
+    operator = poisson_operator(near, coefficient, density, unknown)
     p, convergence = solve_pressure(operator, source, unknown, old.pressure, scheme.tolerance, scheme.max_iterations)
     p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
+    p = scheme.surface_condition.pressure(p, surface, unknown, near, all_w, spacing)
 
-    # Correction: the pressure gradient changes u* and r*.
-    gradient = scheme.gradient(p, near, w, n0)
-    du = jnp.where(moving, -dt * gradient / density[:, None], 0.0)
-    position = predicted.position + dt * du
-    new = Particles(position, u + du, p, old.kind, old.phase)
-    new, info = inspect(case, old, new, surface, dt, convergence, neighbors.overflow)
+    # Correction: pressure and stabilization change u* and r*.
+    a = -scheme.gradient(p, scheme.interface(density, near), near, w, n0)
+    a = jnp.where(moving, a, 0.0)
+    push = scheme.stabilizer(a, near, all_w, density, moves, spacing, n0, dt)
+    position = predicted.position + dt * dt * a + push.displacement
+    new = Particles(position, u + dt * a + push.velocity, p, old.kind, old.phase)
+    new, info = inspect(case, old, new, near, surface, push, dt, convergence, neighbors.overflow)
     return State(new, neighbors, n, surface, state.time + dt, state.step + 1), info
 
 
 def density_and_surface(
-    case: Case, scheme: Scheme, particles: Particles, w: Float[Array, "n k"]
+    case: Case, scheme: Scheme, particles: Particles, near: Pairs, w: Float[Array, "n k"]
 ) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
     """The number density and which particles lie on the free surface; dummies never do."""
     n = number_density(w)
-    return n, scheme.free_surface(n, lattice(scheme.ratio, case.dim).n0) & particles.has_pressure
+    surface = scheme.free_surface(n, near, w, lattice(scheme.ratio, case.dim).n0)
+    return n, surface & particles.has_pressure
+
+
+def compression(
+    velocity: Float[Array, "n d"], near: Pairs, w: Float[Array, "n k"], radius: float, n0: float
+) -> Compression:
+    """All that a source may ask for; what it does not use, the compiler leaves out."""
+    return Compression(number_density(w), density_rate(velocity, near, radius), divergence(velocity, near, w, n0))
 
 
 def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:

@@ -10,17 +10,18 @@ from jaxmps.neighbors import Pairs
 
 
 class AbstractGradient(eqx.Module):
-    """A model of ∇p."""
+    """A model of ∇p, divided by the density of each pair."""
 
     @abc.abstractmethod
     def __call__(
         self,
         pressure: Float[Array, " n"],
+        pair_density: Float[Array, "n k"],
         pairs: Pairs,
         w: Float[Array, "n k"],
         n0: float,
     ) -> Float[Array, "n d"]:
-        """⟨∇p⟩_i [Pa/m]. Pairs that shall not count get the weight zero."""
+        """⟨∇p / ρ⟩_i [m/s²]; with a `pair_density` ρ_ij of one it is ⟨∇p⟩_i. A pair that shall not count gets w = 0."""
 
 
 class MinPressure(AbstractGradient):
@@ -31,8 +32,77 @@ class MinPressure(AbstractGradient):
     neighborhood over which the minimum is taken.
     """
 
-    def __call__(self, pressure, pairs, w, n0):
-        return weighted_gradient(pressure[pairs.j] - minimum(pressure, pairs, w > 0)[:, None], pairs, w, n0)
+    def __call__(self, pressure, pair_density, pairs, w, n0):
+        difference = pressure[pairs.j] - minimum(pressure, pairs, w > 0)[:, None]
+        return weighted_gradient(difference / pair_density, pairs, w, n0)
+
+
+class CMPS(AbstractGradient):
+    """⟨∇p⟩_i = (D / n0) Σ_j ((p_i + p_j) − (p̂_i + p̂_j)) r_ij w_ij / r_ij² ([T13] Eq. 3; Khayyer & Gotoh 2008).
+
+    Antisymmetric in each pair: the forces sum to zero, and every pair repels. Not first-order consistent: a linear
+    pressure lies above its minimum p̂ by the same amount everywhere inside a lattice, so that all pairs push alike and
+    there is no force at all; p_i + p_j alone would be exact there. Fluid at rest therefore sinks until its particles
+    are disordered. [T13] Eq. 6 on the size of the repulsion, |(p_i − p̂_i) + (p_i − p̂_j)| ≥ |p_j − p_i|, holds for
+    p_j ≤ p_i only.
+    """
+
+    def __call__(self, pressure, pair_density, pairs, w, n0):
+        excess = pressure - minimum(pressure, pairs, w > 0)
+        return weighted_gradient((excess[:, None] + excess[pairs.j]) / pair_density, pairs, w, n0)
+
+
+class Corrected(AbstractGradient):
+    """⟨∇p⟩_i = M_i⁻¹ Σ_j (p_j − p_i) r_ij w_ij / r_ij², M_i = Σ_j w_ij r_ij ⊗ r_ij / r_ij² (GC; Khayyer & Gotoh 2011).
+
+    Exact for linear fields in any arrangement of neighbors; attracts under tension; does not conserve momentum. Where
+    M_i is ill-conditioned, det M_i ≤ `smallest` (n0 / D)^D, or i has fewer than `dim` + 1 neighbors, M_i is replaced by
+    that of the full lattice, (n0 / D) I: the first term of [T13] Eq. 7.
+    """
+
+    smallest: float = eqx.field(static=True, default=0.05)
+
+    def __call__(self, pressure, pair_density, pairs, w, n0):
+        plain = weighted_gradient((pressure[pairs.j] - pressure[:, None]) / pair_density, pairs, w, n0)
+        return solve_small(moments(pairs, w, n0, self.smallest), plain)
+
+
+def divergence(
+    velocity: Float[Array, "n d"], pairs: Pairs, w: Float[Array, "n k"], n0: float, smallest: float = 0.05
+) -> Float[Array, " n"]:
+    """⟨∇·u⟩_i = Σ_j u_ij · M_i⁻¹ r_ij w_ij / r_ij² [1/s]: the trace of the corrected gradient (see `Corrected`) of u.
+
+    Exact for linear fields in any arrangement of neighbors.
+    """
+    dim = pairs.r_ij.shape[-1]
+    u_ij = velocity[pairs.j] - velocity[:, None]
+    plain = (dim / n0) * jnp.einsum("nk,nkd,nke->nde", w / pairs.distance**2, pairs.r_ij, u_ij)
+    matrix = moments(pairs, w, n0, smallest)
+    columns = [solve_small(matrix, plain[..., axis])[:, axis] for axis in range(dim)]
+    return jnp.sum(jnp.stack(columns), axis=0)
+
+
+def moments(pairs: Pairs, w: Float[Array, "n k"], n0: float, smallest: float) -> Float[Array, "n d d"]:
+    """(D / n0) Σ_j w_ij r_ij ⊗ r_ij / r_ij², the unit matrix on a full lattice, and also where it is ill-conditioned:
+    its determinant is not above `smallest`, or there are no more than `dim` neighbors.
+    """
+    dim = pairs.r_ij.shape[-1]
+    e_ij = pairs.r_ij / pairs.distance[..., None]
+    matrix = (dim / n0) * jnp.einsum("nk,nkd,nke->nde", w, e_ij, e_ij)
+    well = (jnp.linalg.det(matrix) > smallest) & (jnp.sum(w > 0, axis=-1) > dim)
+    return jnp.where(well[:, None, None], matrix, jnp.eye(dim, dtype=w.dtype))
+
+
+def solve_small(matrix: Float[Array, "n d d"], b: Float[Array, "n d"]) -> Float[Array, "n d"]:
+    """x with M x = b for symmetric 2 × 2 or 3 × 3 matrices, by Cramer's rule: LAPACK would take them one by one."""
+    if b.shape[-1] == 2:
+        a, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
+        x = jnp.stack([d * b[:, 0] - c * b[:, 1], a * b[:, 1] - c * b[:, 0]], axis=-1)
+        return x / (a * d - c * c)[:, None]
+    rows = matrix[:, 0], matrix[:, 1], matrix[:, 2]
+    minors = jnp.stack([jnp.cross(rows[1], rows[2]), jnp.cross(rows[2], rows[0]), jnp.cross(rows[0], rows[1])], axis=-1)
+    determinant = jnp.sum(rows[0] * minors[..., 0], axis=-1)
+    return jnp.einsum("nde,ne->nd", minors, b) / determinant[:, None]
 
 
 def minimum(pressure: Float[Array, " n"], pairs: Pairs, counts: Bool[Array, "n k"]) -> Float[Array, " n"]:
