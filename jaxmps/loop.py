@@ -25,11 +25,15 @@ _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the prog
 
 
 class _Clock(NamedTuple):
-    """Time to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results."""
+    """Time to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results.
+
+    `largest` is the largest time step so far in the run.
+    """
 
     duration: Scalar
     elapsed: Scalar
     dt: Scalar
+    largest: Scalar
 
 
 class Loop:
@@ -39,7 +43,7 @@ class Loop:
         self.case, self.scheme, self.state, self.dt, self.key = case, scheme, state, dt, key
         self.log = empty_log(case.dim)
         self._noted: tuple[Event, ...] = ()
-        self._chunk, self._largest = 16, 0.0
+        self._chunk, self._largest = 16, jnp.zeros_like(state.time)
         full = lattice(scheme.ratio, case.dim).neighbors
         self._most = min(40 * full, len(case.particles.kind))
 
@@ -61,14 +65,17 @@ class Loop:
         """Steps until the time `target` [s], or to the last good state before a failure."""
         begin = float(self.state.time)
         zero = jnp.zeros((), self.state.time.dtype)
-        timer = _Clock(zero + (target - begin), zero, zero)
+        timer = _Clock(zero + (target - begin), zero, zero, self._largest)
         while float(timer.elapsed) < float(timer.duration):
             began = clock.perf_counter()
             carry = (self.state, timer, self.log)
             carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
             self.state, timer, self.log = carry
+            self._largest = timer.largest
             bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
-            if int(status) & FATAL or self._collapsed():
+            if int(status) & Status.TIME_STEP_COLLAPSED:
+                self._note_fastest()
+            if int(status) & FATAL:
                 return
             if int(status) & Status.TABLE_FULL and not self._enlarge():
                 return
@@ -77,22 +84,12 @@ class Loop:
         time = jnp.asarray(target, self.state.time.dtype)
         self.state = eqx.tree_at(lambda s: s.time, self.state, time)
 
-    def _collapsed(self) -> bool:
-        """Whether the scheme's time step has become hopelessly small; notes the fastest particle."""
-        if self.dt is not None:
-            return False
-        limit = float(_largest_step(self.case, self.scheme, self.state.particles))
-        if not np.isfinite(limit):
-            return False
-        self._largest = max(self._largest, limit)
-        if limit >= _COLLAPSE * self._largest:
-            return False
+    def _note_fastest(self) -> None:
         particles = self.state.particles
         speed = np.linalg.norm(np.where(np.asarray(particles.fluid)[:, None], particles.velocity, 0.0), axis=1)
         fastest = int(np.argmax(speed))
         place = tuple(np.asarray(particles.position[fastest]).tolist())
         self.note(Status.TIME_STEP_COLLAPSED, fastest, place, float(speed[fastest]))
-        return True
 
     def _enlarge(self) -> bool:
         neighbors = grow(self.state.neighbors, self.state.particles.position)
@@ -119,16 +116,18 @@ def _advance_chunk(case, scheme, carry, dt, key, most_steps):
         # Equal steps up to the frame: a last tiny one would blow up sources that go as 1 / dt².
         count = jnp.maximum(jnp.ceil(remaining / limit * (1.0 - 1e-6)), 1.0)
         now = (remaining / count).astype(remaining.dtype)
+        largest = jnp.maximum(timer.largest, now)
+        collapsed = limit < _COLLAPSE * largest
         new, info = step(case, scheme, state, now, jax.random.fold_in(key, state.step))
-        accepted = (info.status & stop) == 0
+        status = info.status | jnp.where(collapsed, int(Status.TIME_STEP_COLLAPSED), 0)
+        accepted = (status & stop) == 0
         log = extend(log, info, accepted, state.particles, state.time, state.step)
         elapsed = jnp.where(count > 1, timer.elapsed + now, timer.duration)
-        ahead = (new, _Clock(timer.duration, elapsed, now))
+        ahead = (new, _Clock(timer.duration, elapsed, now, largest))
         state, timer = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer))
-        return (state, timer, log), info.status
+        return (state, timer, log), status
 
     return jax.lax.while_loop(going, body, (carry, jnp.zeros((), int)))
 
 
 _advance = jit(_advance_chunk)
-_largest_step = jit(largest_step)

@@ -1,12 +1,16 @@
 """The host's loop and the pure rollout."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxmps as mps
+from jaxmps.particles import at_rest
 from jaxmps.status import Status
+from jaxmps.stochastic import AbstractVelocityNoise
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 
@@ -211,3 +215,29 @@ def test_a_period_shorter_than_two_radii_is_refused():
     case = mps.Case(particles, mps.Fluid([1000.0], [0.0]), [0.0, -9.81], 0.1, box)
     with pytest.raises(ValueError, match=r"two effective radii \(0.42 m\) .* axis x, got 0.4 m"):
         mps.start(case, mps.schemes.mps())
+
+
+class Runaway(AbstractVelocityNoise):
+    """Every step triples the speed: the Courant limit shrinks the time step to nothing."""
+
+    def __call__(self, velocity, key):
+        return 3.0 * velocity
+
+
+def test_a_run_whose_time_step_collapses_ends_and_names_the_fastest_particle():
+    position = np.array([[0.2, 0.5], [0.8, 0.5]])
+    particles = at_rest(position, np.zeros(2, int))
+    particles = dataclasses.replace(particles, velocity=jnp.array([[0.0, 0.1], [0.0, 0.2]]))
+    box = mps.Box((0.0, 0.0), (1.0, 1.0))
+    fluids = mps.Fluid([1000.0], [0.0])
+    case = mps.Case(particles=particles, fluids=fluids, gravity=[0.0, 0.0], spacing=0.05, box=box)
+    scheme = dataclasses.replace(mps.schemes.mps(), noise=Runaway())
+    with pytest.warns(mps.SimulationWarning, match="time step has collapsed"):
+        run = mps.simulate(case, scheme, until=1.0, progress=False)
+    (event,) = run.status.events
+    assert not run.status.completed
+    assert event.status == mps.Status.TIME_STEP_COLLAPSED and event.particle == 1
+    # From Δt = 0.2 · 0.05 m / 0.2 m/s on, a third of it each time: the seventh power of 3 exceeds 1000.
+    assert event.step == 7
+    assert event.value == pytest.approx(0.2 * 3**7)
+    assert event.position == pytest.approx((0.8, 0.5 + 7 * 3 * 0.01), rel=1e-6)
