@@ -11,24 +11,25 @@ import pytest
 from jaxmps.kernels import lattice, weight
 
 TABLE = [
-    # dim, ratio, n0, lambda / l0^2, neighbors
-    (2, 2.1, 6.5397, 1.3884, 12),
-    (2, 2.4, 9.7747, 1.7708, 20),
-    (2, 3.1, 18.9764, 2.4485, 28),
-    (2, 4.0, 35.6092, 3.7071, 44),
-    (3, 2.1, 14.4186, 1.7017, 32),
-    (3, 4.0, 123.99, 5.212, 250),
+    # dim, ratio, n0, lambda / l0^2, neighbors, K
+    (2, 2.1, 6.5397, 1.3884, 12, 1.4175),
+    (2, 2.4, 9.7747, 1.7708, 20, 1.5230),
+    (2, 3.1, 18.9764, 2.4485, 28, 1.2378),
+    (2, 4.0, 35.6092, 3.7071, 44, 1.1178),
+    (3, 2.1, 14.4186, 1.7017, 32, 1.0731),
+    (3, 4.0, 123.99, 5.212, 250, 1.0054),
 ]
 
 
-@pytest.mark.parametrize(("dim", "ratio", "n0", "lam", "neighbors"), TABLE)
-def test_lattice_constants_are_the_tabulated_sums(dim, ratio, n0, lam, neighbors):
+@pytest.mark.parametrize(("dim", "ratio", "n0", "lam", "neighbors", "k"), TABLE)
+def test_lattice_constants_are_the_tabulated_sums(dim, ratio, n0, lam, neighbors, k):
     found = lattice(ratio, dim)
     digits = 2 if n0 > 100 else 4
     # Half a unit of the last tabulated digit.
     assert found.n0 == pytest.approx(n0, abs=0.5 * 10.0**-digits)
     assert found.lam == pytest.approx(lam, abs=0.5 * 10.0 ** -(digits + 1 if digits == 2 else 4))
     assert found.neighbors == neighbors
+    assert found.k == pytest.approx(k, abs=0.5e-4)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -38,10 +39,11 @@ def test_lattice_constants_are_sums_of_the_weight_over_a_lattice(dim, ratio):
     distance = np.linalg.norm(points, axis=1)
     distance = jnp.array(distance[distance > 0])
     w = weight(distance, ratio)
-    n0, lam, neighbors = lattice(ratio, dim)
+    n0, lam, neighbors, k = lattice(ratio, dim)
     assert n0 == pytest.approx(float(w.sum()), rel=1e-13)
     assert lam == pytest.approx(float((w * distance**2).sum() / w.sum()), rel=1e-13)
     assert neighbors == int((w > 0).sum())
+    assert k == pytest.approx(float((ratio / distance * (w > 0)).sum() / (dim * w.sum())), rel=1e-13)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -49,7 +51,7 @@ def test_second_moment_tends_to_its_integral_for_a_large_radius(dim):
     # Integrals over a disk and a ball: 2 pi r_e^4 / 12 and 4 pi r_e^5 / 20. The lattice sum of a function with a kink
     # at its rim is off by about (l0 / r_e)^2 relative to the integral.
     ratio = 20.0
-    n0, lam, _ = lattice(ratio, dim)
+    n0, lam = lattice(ratio, dim)[:2]
     integral = {2: 2 * math.pi * ratio**4 / 12, 3: 4 * math.pi * ratio**5 / 20}[dim]
     assert n0 * lam == pytest.approx(integral, rel=4 / ratio**2)
 

@@ -9,68 +9,21 @@ import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
+from arrangements import CLOUD, DIMENSIONS, SPACING, block, cloud, table
 from scipy.spatial import cKDTree
 
 import jaxmps
 from jaxmps import Kind, cases, schemes
 from jaxmps._compilation import jit
 from jaxmps.kernels import lattice
-from jaxmps.neighbors import Pairs, pairs
-from jaxmps.operators import MinPressure, laplacian, number_density, pair_weight
+from jaxmps.neighbors import pairs
+from jaxmps.operators import KernelLaplacian, MinPressure, laplacian, number_density, pair_weight
 from jaxmps.operators.gradient import minimum
 from jaxmps.pressure import poisson_operator
 from jaxmps.stepping import step
 from jaxmps.viscosity import Inviscid, Viscous
 
-SPACING = 0.1
-DIMENSIONS = pytest.mark.parametrize("dim", [2, 3])
-
-
-def table(points: np.ndarray, reach: float) -> Pairs:
-    """The pairs closer than `reach`, from a k-d tree."""
-    found = cKDTree(points).query_pairs(reach, output_type="ndarray")
-    ends = np.concatenate([found, found[:, ::-1]])
-    i, j = ends[np.lexsort((ends[:, 1], ends[:, 0]))].T
-    n = len(points)
-    count = np.bincount(i, minlength=n)
-    slot = np.arange(len(i)) - np.repeat(np.cumsum(count) - count, count)
-    slots = np.tile(np.arange(n)[:, None], (1, int(count.max()) + 2))
-    slots[i, slot] = j
-    r_ij = points[slots] - points[:, None]
-    distance = np.linalg.norm(r_ij, axis=-1)
-    present = distance > 0
-    distance = np.where(present, distance, SPACING)
-    return Pairs(*(jnp.array(x) for x in (slots, r_ij, distance, present)))
-
-
-def block(dim: int, ratio: float = 2.1, size: int | None = None) -> SimpleNamespace:
-    """A block of the lattice; `interior` marks particles with a full neighborhood."""
-    size = size or (12 if dim == 2 else 7 if ratio < 3 else 10)
-    index = np.array(list(itertools.product(range(size), repeat=dim)))
-    points = (index + 0.5) * SPACING
-    edge = np.minimum(index, size - 1 - index).min(axis=1)
-    near = table(points, ratio * SPACING)
-    n0, lam, _ = lattice(ratio, dim)
-    return SimpleNamespace(
-        points=jnp.array(points),
-        index=index,
-        edge=edge,
-        interior=edge >= np.ceil(ratio) - 1,
-        pairs=near,
-        w=pair_weight(near, ratio * SPACING),
-        n0=n0,
-        lam=lam * SPACING**2,
-    )
-
-
-CLOUD = SimpleNamespace(points=np.random.default_rng(3).uniform(0, 1.2, (150, 2)), n0=lattice(2.1, 2).n0)
-CLOUD_PRESSURE = np.random.default_rng(4).uniform(0, 1e4, 150)
-
-
-def cloud() -> tuple[Pairs, jax.Array]:
-    near = table(CLOUD.points, 2.1 * SPACING)
-    return near, pair_weight(near, 2.1 * SPACING)
-
+PRESSURE = np.random.default_rng(4).uniform(0, 1e4, 150)
 
 # Tolerances of 1e-11 and 1e-12: round-off of sums of some ten terms, magnified by l0^2 in second derivatives.
 
@@ -119,7 +72,7 @@ def test_laplacian_of_a_vector_field_is_that_of_its_components():
 def test_laplacian_exchanges_without_loss():
     # Antisymmetric fluxes: the sum over all particles vanishes, in any arrangement.
     near, w = cloud()
-    found = laplacian(jnp.array(CLOUD_PRESSURE), near, w, 6.5, 0.01)
+    found = laplacian(jnp.array(PRESSURE), near, w, 6.5, 0.01)
     assert abs(float(found.sum())) < 1e-12 * float(jnp.abs(found).sum())
 
 
@@ -147,7 +100,7 @@ def test_phases_of_different_viscosity_exchange_momentum_without_loss():
 def test_gradient_of_a_linear_field_is_exact_in_the_interior(dim, ratio):
     b = block(dim, ratio)
     slope = np.array([300.0, -700.0, 500.0])[:dim]
-    found = MinPressure()(b.points @ slope + 40.0, b.pairs, b.w, b.n0)[b.interior]
+    found = MinPressure()(b.points @ slope + 40.0, jnp.ones_like(b.w), b.pairs, b.w, b.n0)[b.interior]
     np.testing.assert_allclose(found, np.broadcast_to(slope, found.shape), rtol=1e-11)
 
 
@@ -159,7 +112,7 @@ def test_gradient_with_the_minimum_is_the_plain_one_in_symmetric_neighborhoods(d
     near = b.pairs
     plain = (p[near.j] - p[:, None])[..., None] * near.r_ij * (b.w / near.distance**2)[..., None]
     plain = dim / b.n0 * plain.sum(axis=1)
-    found = MinPressure()(p, near, b.w, b.n0)
+    found = MinPressure()(p, jnp.ones_like(b.w), near, b.w, b.n0)
     scale = float(jnp.abs(plain).max())
     np.testing.assert_allclose(found[b.interior], plain[b.interior], atol=1e-12 * scale)
     assert np.abs(found - plain)[b.edge == 0].max() > 1e-3 * scale
@@ -169,13 +122,13 @@ def test_gradient_with_the_minimum_is_the_plain_one_in_symmetric_neighborhoods(d
 def test_constant_pressure_gives_no_force_anywhere(dim):
     b = block(dim)
     p = jnp.full(len(b.points), 1234.5)
-    np.testing.assert_array_equal(MinPressure()(p, b.pairs, b.w, b.n0), 0.0)
+    np.testing.assert_array_equal(MinPressure()(p, jnp.ones_like(b.w), b.pairs, b.w, b.n0), 0.0)
 
 
 def test_pressure_force_of_every_pair_repels():
     # The part of j in the acceleration of i points away from j: p_j is nowhere below the minimum.
     near, w = cloud()
-    p = jnp.array(CLOUD_PRESSURE)
+    p = jnp.array(PRESSURE)
     strength = (p[near.j] - minimum(p, near, w > 0)[:, None]) * w
     assert np.all(np.asarray(strength) >= 0)
     assert np.any(np.asarray(strength) > 0)
@@ -186,7 +139,7 @@ def test_particle_between_two_others_is_pushed_from_the_one_of_higher_pressure(p
     points = np.array([[0.1, 0.0], [0.0, 0.0], [0.23, 0.0]])  # i, left, right
     near = table(points, 2.1 * SPACING)
     w = pair_weight(near, 2.1 * SPACING)
-    force = -MinPressure()(jnp.array(pressures), near, w, 6.5)[0, 0]
+    force = -MinPressure()(jnp.array(pressures), jnp.ones_like(w), near, w, 6.5)[0, 0]
     own, left, right = pressures
     low = min(pressures)
     push = {side: (p - low) * (0.21 / r - 1.0) / r for side, p, r in (("left", left, 0.1), ("right", right, 0.13))}
@@ -196,11 +149,11 @@ def test_particle_between_two_others_is_pushed_from_the_one_of_higher_pressure(p
 
 def test_minimum_includes_the_particle_itself():
     near, w = cloud()
-    p = jnp.array(CLOUD_PRESSURE)
-    lowest = int(np.argmin(CLOUD_PRESSURE))
+    p = jnp.array(PRESSURE)
+    lowest = int(np.argmin(PRESSURE))
     found = np.asarray(minimum(p, near, w > 0))
-    assert np.all(found <= CLOUD_PRESSURE)
-    assert found[lowest] == CLOUD_PRESSURE[lowest]
+    assert np.all(found <= PRESSURE)
+    assert found[lowest] == PRESSURE[lowest]
     alone = table(np.array([[0.0, 0.0], [1.0, 0.0], [1.1, 0.0]]), 2.1 * SPACING)
     weights = pair_weight(alone, 2.1 * SPACING)
     np.testing.assert_array_equal(minimum(jnp.array([9.0, 3.0, 5.0]), alone, weights > 0), [9.0, 3.0, 3.0])
@@ -210,13 +163,13 @@ def test_minimum_counts_only_pairs_of_nonzero_weight():
     near, w = cloud()
     near_radius = 1.3 * SPACING
     short = pair_weight(near, near_radius)
-    found = minimum(jnp.array(CLOUD_PRESSURE), near, short > 0)
+    found = minimum(jnp.array(PRESSURE), near, short > 0)
     distance = np.linalg.norm(CLOUD.points[:, None] - CLOUD.points[None], axis=-1)
-    expected = np.where(distance < near_radius, CLOUD_PRESSURE[None], np.inf).min(axis=1)
+    expected = np.where(distance < near_radius, PRESSURE[None], np.inf).min(axis=1)
     np.testing.assert_array_equal(found, expected)
-    wide = np.where(distance < 2.1 * SPACING, CLOUD_PRESSURE[None], np.inf).min(axis=1)
+    wide = np.where(distance < 2.1 * SPACING, PRESSURE[None], np.inf).min(axis=1)
     assert np.any(expected != wide)
-    np.testing.assert_array_equal(minimum(jnp.array(CLOUD_PRESSURE), near, w > 0), wide)
+    np.testing.assert_array_equal(minimum(jnp.array(PRESSURE), near, w > 0), wide)
 
 
 def test_absent_pairs_have_no_weight():
@@ -271,16 +224,17 @@ def large(request):
 
 def all_operators(neighbors, particles, case, p, dim):
     radius = 2.1 * case.spacing
-    n0, lam, _ = lattice(2.1, dim)
+    n0, lam = lattice(2.1, dim)[:2]
     near = pairs(neighbors, particles, case.spacing)
     w = pair_weight(near, radius)
     has_pressure = particles.has_pressure
-    operator = poisson_operator(near, w, case.density, has_pressure, n0, lam * case.spacing**2)
+    coefficient = KernelLaplacian()(near, w, 2.1, case.spacing)
+    operator = poisson_operator(near, coefficient, case.density, has_pressure)
     return {
         "weight sums": number_density(w),
         "laplacian": laplacian(p, near, w, n0, lam * case.spacing**2),
         "vector laplacian": laplacian(particles.position**2, near, w, n0, lam * case.spacing**2),
-        "gradient": MinPressure()(p, near, w, n0),
+        "gradient": MinPressure()(p, jnp.ones_like(w), near, w, n0),
         "pressure matrix": operator @ p,
     }
 
@@ -301,7 +255,7 @@ def one_step(case: jaxmps.Case, dt: float, relaxation: float, beta: float) -> Si
     """A step of the standard method for one inviscid fluid at rest, with matrices: [N11] Eqs. 5 to 12."""
     spacing, dim, kind = case.spacing, case.dim, np.asarray(case.particles.kind)
     radius, gravity = 2.1 * spacing, np.asarray(case.gravity)
-    n0, lam, _ = lattice(2.1, dim)
+    n0, lam = lattice(2.1, dim)[:2]
     density = float(case.fluids.density[0])
     moving = (kind == Kind.FLUID)[:, None]
     u = np.where(moving, dt * gravity, 0.0)

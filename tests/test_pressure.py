@@ -14,9 +14,9 @@ from jaxmps import Box, Kind, cases, schemes
 from jaxmps.kernels import lattice
 from jaxmps.linear import solve as solve_plainly
 from jaxmps.neighbors import Pairs
-from jaxmps.operators import laplacian, pair_weight
+from jaxmps.operators import KernelLaplacian, laplacian, pair_weight
 from jaxmps.particles import at_rest
-from jaxmps.pressure import DensityDeviation, PoissonOperator, poisson_operator, solve_pressure
+from jaxmps.pressure import Compression, DensityDeviation, PoissonOperator, poisson_operator, solve_pressure
 
 SPACING = 0.1
 RADIUS = 2.1 * SPACING
@@ -61,7 +61,8 @@ def system(points=None, density=None) -> PoissonOperator:
     near = all_pairs(jnp.array(positions()) if points is None else points)
     density = jnp.array(DENSITY) if density is None else density
     w = pair_weight(near, RADIUS)
-    return poisson_operator(near, w, density, jnp.array(UNKNOWN), N0, LAM * SPACING**2)
+    coefficient = KernelLaplacian()(near, w, 2.1, SPACING)
+    return poisson_operator(near, coefficient, density, jnp.array(UNKNOWN))
 
 
 def dense(operator: PoissonOperator) -> np.ndarray:
@@ -185,7 +186,8 @@ def test_known_pressures_are_zero_whatever_source_and_guess():
 
 def test_too_dense_particles_get_positive_pressure():
     n = jnp.array([0.9, 1.0, 1.1]) * N0
-    source = DensityDeviation(0.2)(n, N0, jnp.array(1e-3))
+    zero = jnp.zeros(3)
+    source = DensityDeviation(0.2)(Compression(n, zero, zero), Compression(zero, zero, zero), N0, jnp.array(1e-3))
     np.testing.assert_allclose(source, [0.2e5, 0.0, -0.2e5], rtol=1e-10, atol=1e-6)
     p, _ = solve_pressure(system(), jnp.full(N, -1.0), jnp.array(UNKNOWN), jnp.zeros(N), 1e-10, 500)
     assert np.all(np.asarray(p)[UNKNOWN] > 0)
