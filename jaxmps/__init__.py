@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxmps.particles import Kind as Kind
     from jaxmps.particles import Particles as Particles
     from jaxmps.run import Run as Run
-    from jaxmps.schemes import Scheme as Scheme
+    from jaxmps.scheme import Scheme as Scheme
     from jaxmps.simulation import rollout as rollout
     from jaxmps.simulation import simulate as simulate
     from jaxmps.simulation import start as start
@@ -42,7 +42,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "monitor": ["StepInfo"],
         "particles": ["Fluid", "Kind", "Particles"],
         "run": ["Run"],
-        "schemes": ["Scheme"],
+        "scheme": ["Scheme"],
         "simulation": ["rollout", "simulate", "start"],
         "status": ["Outcome", "SimulationError", "SimulationWarning", "Status"],
         "stepping": ["State", "step"],

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxmps import cases, schemes
 from jaxmps.case import Case
 from jaxmps.description import describe
-from jaxmps.schemes import Scheme
+from jaxmps.scheme import Scheme
 from jaxmps.validation import between, one_of, positive
 
 Factory = Callable[..., Any]

@@ -16,7 +16,7 @@ from jaxmps.kernels import lattice
 from jaxmps.monitor import empty_log, events, extend
 from jaxmps.neighbors import grow
 from jaxmps.progress import Meter
-from jaxmps.schemes import Scheme
+from jaxmps.scheme import Scheme
 from jaxmps.status import FATAL, Event, Outcome, Status
 from jaxmps.stepping import State, largest_step, step
 

@@ -15,7 +15,7 @@ from jaxmps.io import Writer, read
 from jaxmps.monitor import Log
 from jaxmps.particles import Kind
 from jaxmps.run import Run
-from jaxmps.schemes import Scheme
+from jaxmps.scheme import Scheme
 from jaxmps.status import Outcome
 from jaxmps.stepping import State
 

@@ -1,61 +1,18 @@
-"""A scheme is a choice of one model of each kind; the named ones are those of the papers."""
+"""The named schemes, those of the papers: each a choice of one model of each kind."""
 
 import dataclasses
 
-import equinox as eqx
-
-from jaxmps._types import ArrayLike, Scalar, as_array
-from jaxmps.collision import AbstractCollision, NoCollision, PairCollision
-from jaxmps.free_surface import (
-    AbstractFreeSurface,
-    AbstractSurfaceCondition,
-    AtCenters,
-    DensityThreshold,
-    HalfSpacing,
-    OneSided,
-)
-from jaxmps.operators import CMPS, AbstractGradient, AbstractLaplacian, Corrected, KernelLaplacian, MinPressure
-from jaxmps.phases import AbstractInterface, OwnDensity, PairedDensity
-from jaxmps.pressure import AbstractSource, CorrectedDivergence, DensityDeviation, HigherOrderSource
+from jaxmps._types import ArrayLike, as_array
+from jaxmps.collision import NoCollision, PairCollision
+from jaxmps.free_surface import DensityThreshold, HalfSpacing, OneSided
+from jaxmps.operators import CMPS, AbstractGradient, Corrected, MinPressure
+from jaxmps.phases import OwnDensity, PairedDensity
+from jaxmps.pressure import CorrectedDivergence, DensityDeviation, HigherOrderSource
+from jaxmps.scheme import Scheme, TimeStep
 from jaxmps.stabilization import AbstractStabilizer, DynamicStabilization, NoStabilization
-from jaxmps.stochastic import AbstractVelocityNoise, NoNoise
+from jaxmps.stochastic import NoNoise
 from jaxmps.validation import between
-from jaxmps.viscosity import AbstractViscosity, Inviscid, Viscous
-
-
-class TimeStep(eqx.Module):
-    """Δt = min(C l0 / u_max, G √(l0 / g)): the Courant limit ([N11] Eq. 13) and an upper limit for slow flow.
-
-    Without gravity and at rest no limit exists; then `simulate` wants a `dt`.
-    """
-
-    courant: Scalar = eqx.field(converter=as_array, default=0.2)
-    gravity_limit: Scalar = eqx.field(converter=as_array, default=0.044)
-
-
-class Scheme(eqx.Module):
-    """A numerical method. Every leaf is a float array that can be tuned; what fixes shapes or control flow is static.
-
-    `ratio`: effective radius r_e / l0 of all operators. `tolerance`, `max_iterations`: stopping rule of the pressure
-    solve, relative to its right-hand side. `clip_pressure`: whether negative pressure is set to zero.
-    """
-
-    viscosity: AbstractViscosity
-    noise: AbstractVelocityNoise
-    free_surface: AbstractFreeSurface
-    source: AbstractSource
-    gradient: AbstractGradient
-    collision: AbstractCollision
-    laplacian: AbstractLaplacian = eqx.field(default_factory=KernelLaplacian)
-    interface: AbstractInterface = eqx.field(default_factory=PairedDensity)
-    surface_condition: AbstractSurfaceCondition = eqx.field(default_factory=AtCenters)
-    stabilizer: AbstractStabilizer = eqx.field(default_factory=NoStabilization)
-    time_step: TimeStep = eqx.field(default_factory=TimeStep)
-    clip_pressure: bool = eqx.field(static=True, default=True)
-    ratio: float = eqx.field(static=True, default=2.1)
-    tolerance: float = eqx.field(static=True, default=1e-5)
-    max_iterations: int = eqx.field(static=True, default=2000)
-    name: str = eqx.field(static=True, default="custom")
+from jaxmps.viscosity import Inviscid, Viscous
 
 
 def mps(

@@ -20,7 +20,7 @@ from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
 from jaxmps.recorder import Recorder
 from jaxmps.run import Run
-from jaxmps.schemes import Scheme
+from jaxmps.scheme import Scheme
 from jaxmps.status import FATAL, SimulationWarning, Status
 from jaxmps.stepping import State, density_and_surface, largest_step, step
 from jaxmps.validation import positive

@@ -12,7 +12,7 @@ from jaxmps.neighbors import Neighbors, Pairs, pairs, update
 from jaxmps.operators import density_rate, divergence, number_density, pair_weight
 from jaxmps.particles import Particles
 from jaxmps.pressure import Compression, poisson_operator, solve_pressure
-from jaxmps.schemes import Scheme
+from jaxmps.scheme import Scheme
 
 
 class State(eqx.Module):
