@@ -78,9 +78,8 @@ class DynamicStabilization(AbstractStabilizer):
         push = overlap * share_of_displacement(density, moves, pairs)
         push = push * {"kernel": w / n0, "mean": jnp.where(w > 0, 1.0 / n0, 0.0), "none": w > 0}[self.weighting]
         shift = jnp.where(moves[:, None], -jnp.einsum("nk,nkd->nd", push, e_ij), 0.0)
-        active = jnp.where(
-            moves[:, None], jnp.where(moves[pairs.j], 0.5, 1.0), 0.0
-        )  # a pair of two movers stands twice
+        # A pair of two moving particles stands in the table twice.
+        active = jnp.where(moves[:, None], jnp.where(moves[pairs.j], 0.5, 1.0), 0.0)
         count = jnp.round(jnp.sum(jnp.where(overlap > 0, active, 0.0))).astype(int)
         return Push(self.kept_velocity * shift / dt, shift, count)
 
