@@ -85,7 +85,7 @@ def compare(
             mps.simulate(case, scheme, until=until, save_every=save_every, out=file, overwrite=True)
         runs.append(mps.read(file))
         table(runs[-1], times, upward)
-    file, shown = folder / f"{case.name}.png", [t for t in times if 0.0 < t <= until]
+    file, shown = folder / f"{case.name}.png", [t for t in times if 0.0 < t <= until] or [until]
     figure = mps.plotting.panels(runs, shown, "phase", arrow=0.5, extent=(-0.008, 0.258, -0.008, 0.212))
     figure.savefig(file, dpi=80, bbox_inches="tight")
     print(f"figure: {file}")

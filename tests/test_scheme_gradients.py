@@ -15,7 +15,6 @@ from jaxmps import cases, schemes
 STEPS, DT = 8, 1e-3
 LEAVES = {
     "cmps_hs": ("position", "velocity", "density", "gravity"),
-    "mps_hs_gc": ("position", "velocity", "density", "gravity"),
     "mps_hs_gc_ds": ("alpha_ds", "kept_velocity", "position", "velocity", "density", "gravity"),
     "mps_cd_gc_ds": ("alpha_ds", "kept_velocity", "restoring", "position", "velocity", "density", "gravity"),
 }
