@@ -39,7 +39,7 @@ class DensityDeviation(AbstractSource):
     relaxation: Scalar = eqx.field(converter=as_array, default=0.2)
 
     def __call__(self, predicted, current, n0, dt):
-        return -(self.relaxation / dt**2) * (predicted.n - n0) / n0
+        return density_deviation(predicted.n, n0, self.relaxation, dt)
 
 
 class HigherOrderSource(AbstractSource):
@@ -79,7 +79,12 @@ class CorrectedDivergence(AbstractSource):
     restoring: Scalar = eqx.field(converter=as_array, default=0.03)
 
     def __call__(self, predicted, current, n0, dt):
-        return predicted.divergence / dt - (self.restoring / dt**2) * (predicted.n - n0) / n0
+        return predicted.divergence / dt + density_deviation(predicted.n, n0, self.restoring, dt)
+
+
+def density_deviation(n: Float[Array, " n"], n0: float, fraction: Scalar, dt: Scalar) -> Float[Array, " n"]:
+    """−(γ / Δt²) (n_i − n0) / n0 [1/s²], which corrects the fraction γ of the density's error ([N11] Eq. 11)."""
+    return -(fraction / dt**2) * (n - n0) / n0
 
 
 class PoissonOperator(AbstractOperator):
