@@ -7,6 +7,7 @@ from jaxmps.collision import AbstractCollision
 from jaxmps.free_surface import AbstractFreeSurface, AbstractSurfaceCondition, AtCenters
 from jaxmps.operators import AbstractGradient, AbstractLaplacian, KernelLaplacian
 from jaxmps.phases import AbstractInterface, PairedDensity
+from jaxmps.preconditioning import AbstractPreconditioning, ByMultigrid
 from jaxmps.pressure import AbstractSource
 from jaxmps.stabilization import AbstractStabilizer, NoStabilization
 from jaxmps.stochastic import AbstractVelocityNoise
@@ -40,6 +41,7 @@ class Scheme(eqx.Module):
     interface: AbstractInterface = eqx.field(default_factory=PairedDensity)
     surface_condition: AbstractSurfaceCondition = eqx.field(default_factory=AtCenters)
     stabilizer: AbstractStabilizer = eqx.field(default_factory=NoStabilization)
+    preconditioning: AbstractPreconditioning = eqx.field(default_factory=ByMultigrid)
     time_step: TimeStep = eqx.field(default_factory=TimeStep)
     clip_pressure: bool = eqx.field(static=True, default=True)
     ratio: float = eqx.field(static=True, default=2.1)

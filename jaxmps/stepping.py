@@ -59,7 +59,10 @@ def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, "
     coefficient = scheme.laplacian(near, w, scheme.ratio, spacing)
     coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
     operator = poisson_operator(near, coefficient, density, unknown)
-    p, convergence = solve_pressure(operator, source, unknown, old.pressure, scheme.tolerance, scheme.max_iterations)
+    preconditioner = scheme.preconditioning(operator, unknown, near, predicted.position, case.box, spacing)
+    p, convergence = solve_pressure(
+        operator, source, unknown, old.pressure, preconditioner, scheme.tolerance, scheme.max_iterations
+    )
     p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
     p = scheme.surface_condition.pressure(p, surface, unknown, near, all_w, spacing)
 

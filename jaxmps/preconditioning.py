@@ -1,0 +1,47 @@
+"""How the pressure equation is preconditioned."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxmps.box import Box
+from jaxmps.linear import AbstractPreconditioner, Jacobi
+from jaxmps.multigrid import cover, multigrid
+from jaxmps.neighbors import Pairs
+from jaxmps.pressure import PoissonOperator
+
+
+class AbstractPreconditioning(eqx.Module):
+    """A choice of preconditioner: it changes the cost of a solve, and its result by less than its tolerance."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        operator: PoissonOperator,
+        unknown: Bool[Array, " n"],
+        pairs: Pairs,
+        position: Float[Array, "n d"],
+        box: Box,
+        spacing: float,
+    ) -> AbstractPreconditioner:
+        """The preconditioner of the matrix between particles at `position` [m]; `unknown` rows are solved for."""
+
+
+class ByDiagonal(AbstractPreconditioning):
+    """Jacobi. The number of iterations grows as that of particles along an axis: 75 at 2000 particles, 1000 at 10^5."""
+
+    def __call__(self, operator, unknown, pairs, position, box, spacing):
+        return Jacobi(operator.diagonal)
+
+
+class ByMultigrid(AbstractPreconditioning):
+    """Multigrid (see `Multigrid`) on elements of `cell` spacings: 11 to 16 iterations to 1e-6 for 2 to 3 spacings."""
+
+    cell: float = eqx.field(static=True, default=3.0)
+
+    def __call__(self, operator, unknown, pairs, position, box, spacing):
+        tensor = jnp.einsum("nk,nkd,nke->nde", 0.5 * operator.coupling.T, pairs.r_ij, pairs.r_ij)
+        grid = cover(box, self.cell * spacing)
+        return multigrid(box.wrap(position), tensor, operator.sink, operator.diagonal, unknown, grid)
