@@ -130,20 +130,25 @@ def poisson_operator(
     return PoissonOperator(pairs.j.T, coupling.T, sink, jnp.where(diagonal > 0, diagonal, 1.0))
 
 
+class PressureEquation(NamedTuple):
+    """A p = −S for `unknown` p, zero elsewhere, with the pressure of the last step [Pa] to start from."""
+
+    operator: PoissonOperator
+    source: Float[Array, " n"]
+    unknown: Bool[Array, " n"]
+    previous: Float[Array, " n"]
+    preconditioner: AbstractPreconditioner
+
+
 def solve_pressure(
-    operator: PoissonOperator,
-    source: Float[Array, " n"],
-    unknown: Bool[Array, " n"],
-    previous: Float[Array, " n"],
-    preconditioner: AbstractPreconditioner,
-    tolerance: float,
-    max_iterations: int,
+    equation: PressureEquation, tolerance: float, max_iterations: int
 ) -> tuple[Float[Array, " n"], Convergence]:
-    """p [Pa] with A p = −S for unknown p and zero elsewhere, starting from the previous pressure.
+    """p [Pa].
 
     Without any free surface, in a closed vessel or a periodic box full of fluid, p is known up to a constant only, and
     S must have the mean zero, which is subtracted.
     """
+    operator, source, unknown, previous, preconditioner = equation
     b = jnp.where(unknown, -source, 0.0)
     mean = jnp.sum(b) / jnp.maximum(jnp.sum(unknown), 1)
     b = jnp.where(unknown & ~jnp.any(operator.sink > 0), b - mean, b)

@@ -1,5 +1,7 @@
 """One time step, in the order of the papers."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -7,11 +9,12 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxmps._types import Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
+from jaxmps.linear import Convergence
 from jaxmps.monitor import StepInfo, inspect
 from jaxmps.neighbors import Neighbors, Pairs, pairs, update
 from jaxmps.operators import density_rate, divergence, number_density, pair_weight
 from jaxmps.particles import Particles
-from jaxmps.pressure import Compression, poisson_operator, solve_pressure
+from jaxmps.pressure import Compression, PressureEquation, poisson_operator, solve_pressure
 from jaxmps.scheme import Scheme
 
 
@@ -26,54 +29,92 @@ class State(eqx.Module):
     step: Int[Array, ""]
 
 
+class Prediction(NamedTuple):
+    """The flow after the explicit part of a step, without the pressure: u*, r*, and what belongs to them."""
+
+    particles: Particles
+    neighbors: Neighbors
+    near: Pairs
+    w: Float[Array, "n k"]
+    number_density: Float[Array, " n"]
+    surface: Bool[Array, " n"]
+    source: Float[Array, " n"]
+
+
 def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]) -> tuple[State, StepInfo]:
     """The flow after `dt` [s]: explicit prediction, pressure, correction ([N11] §2). Pure and differentiable."""
-    old, density, spacing = state.particles, case.density, case.spacing
+    prediction = predict(case, scheme, state, dt, key)
+    equation = pressure_equation(case, scheme, prediction)
+    p, convergence = solve_pressure(equation, scheme.tolerance, scheme.max_iterations)
+    return correct(case, scheme, state, prediction, equation.unknown, p, convergence, dt)
+
+
+def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]) -> Prediction:
+    """Explicit: viscosity, gravity, noise and collisions give u* and r*, these n*, the surface and the source."""
+    old, spacing = state.particles, case.spacing
     radius = scheme.ratio * spacing
     n0, lam = lattice(scheme.ratio, case.dim)[:2]
-    lam = lam * spacing**2
-    moves = old.fluid
-    moving = moves[:, None]
-
-    # Explicit: viscosity, gravity, noise and collisions give u* and r*.
+    moving = old.fluid[:, None]
     neighbors = update(state.neighbors, old.position)
     near = pairs(neighbors, old, spacing)
     w = pair_weight(near, radius)
     current = compression(old.velocity, near, w, radius, n0)
     viscosity = case.fluids.viscosity[old.phase]
-    viscous = scheme.viscosity(old.velocity, viscosity, near, w, n0, lam)
+    viscous = scheme.viscosity(old.velocity, viscosity, near, w, n0, lam * spacing**2)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
     u = jnp.where(moving, scheme.noise(u, key), u)
-    u = u + scheme.collision(u, near, density, moves, spacing, dt)
+    u = u + scheme.collision(u, near, case.density, old.fluid, spacing, dt)
     predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (old.position + dt * u, u))
 
-    # Implicit: the predicted state gives surface and source, the PPE the pressure.
     neighbors = update(neighbors, predicted.position)
     near = pairs(neighbors, predicted, spacing)
     w = pair_weight(near, radius)
     n, surface = density_and_surface(case, scheme, old, near, w)
     source = scheme.source(compression(u, near, w, radius, n0), current, n0, dt)
-    unknown = old.has_pressure & ~surface
-    all_w = w
-    w = jnp.where(old.has_pressure[:, None] & old.has_pressure[near.j], w, 0.0)
-    coefficient = scheme.laplacian(near, w, scheme.ratio, spacing)
-    coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
-    operator = poisson_operator(near, coefficient, density, unknown)
-    preconditioner = scheme.preconditioning(operator, unknown, near, predicted.position, case.box, spacing)
-    p, convergence = solve_pressure(
-        operator, source, unknown, old.pressure, preconditioner, scheme.tolerance, scheme.max_iterations
-    )
-    p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
-    p = scheme.surface_condition.pressure(p, surface, unknown, near, all_w, spacing)
+    return Prediction(predicted, neighbors, near, w, n, surface, source)
 
-    # Correction: pressure and stabilization change u* and r*.
-    a = -scheme.gradient(p, scheme.interface(density, near), near, w, n0)
-    a = jnp.where(moving, a, 0.0)
-    push = scheme.stabilizer(a, near, all_w, density, moves, spacing, n0, dt)
+
+def pressure_equation(case: Case, scheme: Scheme, prediction: Prediction) -> PressureEquation:
+    """Implicit: the PPE at r*, between particles that have a pressure."""
+    particles, near, surface = prediction.particles, prediction.near, prediction.surface
+    unknown = particles.has_pressure & ~surface
+    coefficient = scheme.laplacian(near, _between_pressures(prediction), scheme.ratio, case.spacing)
+    coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
+    operator = poisson_operator(near, coefficient, case.density, unknown)
+    preconditioner = scheme.preconditioning(operator, unknown, near, particles.position, case.box, case.spacing)
+    return PressureEquation(operator, prediction.source, unknown, particles.pressure, preconditioner)
+
+
+def correct(
+    case: Case,
+    scheme: Scheme,
+    state: State,
+    prediction: Prediction,
+    unknown: Bool[Array, " n"],
+    p: Float[Array, " n"],
+    convergence: Convergence,
+    dt: Scalar,
+) -> tuple[State, StepInfo]:
+    """The solved pressure and the stabilizer change u* and r*."""
+    predicted, near, surface, moves = prediction.particles, prediction.near, prediction.surface, state.particles.fluid
+    n0, density, spacing = lattice(scheme.ratio, case.dim).n0, case.density, case.spacing
+    p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
+    p = scheme.surface_condition.pressure(p, surface, unknown, near, prediction.w, spacing)
+    a = -scheme.gradient(p, scheme.interface(density, near), near, _between_pressures(prediction), n0)
+    a = jnp.where(moves[:, None], a, 0.0)
+    push = scheme.stabilizer(a, near, prediction.w, density, moves, spacing, n0, dt)
     position = predicted.position + dt * dt * a + push.displacement
-    new = Particles(position, u + dt * a + push.velocity, p, old.kind, old.phase)
-    new, info = inspect(case, old, new, near, surface, push, dt, convergence, neighbors.overflow)
-    return State(new, neighbors, n, surface, state.time + dt, state.step + 1), info
+    velocity = predicted.velocity + dt * a + push.velocity
+    new = Particles(position, velocity, p, predicted.kind, predicted.phase)
+    full = prediction.neighbors.overflow
+    new, info = inspect(case, state.particles, new, near, surface, push, dt, convergence, full)
+    return State(new, prediction.neighbors, prediction.number_density, surface, state.time + dt, state.step + 1), info
+
+
+def _between_pressures(prediction: Prediction) -> Float[Array, "n k"]:
+    """The weights of pairs of which both particles have a pressure."""
+    has_pressure = prediction.particles.has_pressure
+    return jnp.where(has_pressure[:, None] & has_pressure[prediction.near.j], prediction.w, 0.0)
 
 
 def density_and_surface(

@@ -17,7 +17,14 @@ from jaxmps.linear import solve as solve_plainly
 from jaxmps.neighbors import Pairs
 from jaxmps.operators import KernelLaplacian, laplacian, pair_weight
 from jaxmps.particles import at_rest
-from jaxmps.pressure import Compression, DensityDeviation, PoissonOperator, poisson_operator, solve_pressure
+from jaxmps.pressure import (
+    Compression,
+    DensityDeviation,
+    PoissonOperator,
+    PressureEquation,
+    poisson_operator,
+    solve_pressure,
+)
 
 SPACING = 0.1
 RADIUS = 2.1 * SPACING
@@ -67,6 +74,10 @@ def system(points=None, density=None) -> PoissonOperator:
     w = pair_weight(near, RADIUS)
     coefficient = KernelLaplacian()(near, w, 2.1, SPACING)
     return poisson_operator(near, coefficient, density, jnp.array(UNKNOWN))
+
+
+def equation(source, previous) -> PressureEquation:
+    return PressureEquation(system(), source, jnp.array(UNKNOWN), previous, Jacobi(system().diagonal))
 
 
 def dense(operator: PoissonOperator) -> np.ndarray:
@@ -182,9 +193,7 @@ def test_isolated_particle_keeps_its_right_hand_side_and_disturbs_nobody():
 
 
 def test_known_pressures_are_zero_whatever_source_and_guess():
-    p, _ = solve_pressure(
-        system(), jnp.full(N, 3.0), jnp.array(UNKNOWN), jnp.full(N, 7e5), Jacobi(system().diagonal), 1e-10, 500
-    )
+    p, _ = solve_pressure(equation(jnp.full(N, 3.0), jnp.full(N, 7e5)), 1e-10, 500)
     np.testing.assert_array_equal(np.asarray(p)[~UNKNOWN], 0.0)
     expected = np.linalg.solve(matrix_by_hand(), np.where(UNKNOWN, -3.0, 0.0))
     np.testing.assert_allclose(p, expected, atol=1e-8 * np.abs(expected).max())
@@ -195,9 +204,7 @@ def test_too_dense_particles_get_positive_pressure():
     zero = jnp.zeros(3)
     source = DensityDeviation(0.2)(Compression(n, zero, zero), Compression(zero, zero, zero), N0, jnp.array(1e-3))
     np.testing.assert_allclose(source, [0.2e5, 0.0, -0.2e5], rtol=1e-10, atol=1e-6)
-    p, _ = solve_pressure(
-        system(), jnp.full(N, -1.0), jnp.array(UNKNOWN), jnp.zeros(N), Jacobi(system().diagonal), 1e-10, 500
-    )
+    p, _ = solve_pressure(equation(jnp.full(N, -1.0), jnp.zeros(N)), 1e-10, 500)
     assert np.all(np.asarray(p)[UNKNOWN] > 0)
 
 

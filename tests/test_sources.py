@@ -15,6 +15,7 @@ from jaxmps.pressure import (
     DensityDeviation,
     ErrorCompensatingSource,
     HigherOrderSource,
+    PressureEquation,
     poisson_operator,
     solve_pressure,
 )
@@ -23,7 +24,7 @@ RADIUS = 2.1 * SPACING
 DT = 1e-3
 N0, K = lattice(2.1, 2).n0, lattice(2.1, 2).k
 
-solve = jax.jit(solve_pressure, static_argnums=(5, 6))
+solve = jax.jit(solve_pressure, static_argnums=(1, 2))
 
 
 def compression(velocity, b) -> Compression:
@@ -42,7 +43,9 @@ def pressure(model, rate: float, density: float = 1000.0) -> tuple[np.ndarray, n
     c = KernelLaplacian()(b.pairs, b.w, 2.1, SPACING)
     operator = poisson_operator(b.pairs, c, jnp.full(len(b.points), density), unknown)
     right = jnp.array(source(model, compression(rate * (b.points - 0.6), b)))
-    p, convergence = solve(operator, right, unknown, jnp.zeros(len(b.points)), Jacobi(operator.diagonal), 1e-12, 500)
+    p, convergence = solve(
+        PressureEquation(operator, right, unknown, jnp.zeros(len(b.points)), Jacobi(operator.diagonal)), 1e-12, 500
+    )
     assert convergence.converged
     return np.asarray(p), b.interior
 
