@@ -72,15 +72,19 @@ def solve(
 
 @partial(jax.custom_jvp, nondiff_argnums=(4, 5))
 def _solve(operator, b, guess, preconditioner, tolerance, max_iterations):
+    # The multiple of the guess that leaves the smallest residual: where the guess is bad, it does no harm.
+    product = operator @ guess
+    squared = jnp.vdot(product, product)
+    part = jnp.where(squared > 0, jnp.vdot(product, b) / jnp.where(squared > 0, squared, 1.0), 0.0)
     correction, _ = cg(
         operator.__matmul__,
-        b - operator @ guess,
+        b - part * product,
         tol=0.0,
         atol=tolerance * jnp.linalg.norm(b),
         maxiter=max_iterations,
         M=preconditioner,
     )
-    return guess + correction
+    return part * guess + correction
 
 
 @_solve.defjvp

@@ -25,7 +25,7 @@ def mps(
     viscous: bool = False,
     clip_pressure: bool = True,
     ratio: float = 2.1,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
 ) -> Scheme:
     """The standard MPS method ([N11] §2; Koshizuka & Oka 1996) with relaxed source and pair collisions.
 
@@ -69,7 +69,7 @@ def cmps_hs(
     own_density: bool = False,
     viscous: bool = False,
     ratio: float = 2.1,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
 ) -> Scheme:
     """CMPS-HS ([T13] §3.2): antisymmetric gradient, every pair repels, pressure not below zero; higher-order source.
 
@@ -92,7 +92,7 @@ def mps_hs_gc(
     own_density: bool = False,
     viscous: bool = False,
     ratio: float = 2.1,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
 ) -> Scheme:
     """MPS-HS-GC ([T13] §3.2): corrected gradient, which attracts under tension, and higher-order source. It breaks up.
 
@@ -113,7 +113,7 @@ def mps_hs_gc_ds(
     own_density: bool = False,
     viscous: bool = False,
     ratio: float = 2.1,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
 ) -> Scheme:
     """MPS-HS-GC-DS ([T13] §2): MPS-HS-GC with dynamic stabilization, as published.
 
@@ -133,7 +133,7 @@ def mps_cd_gc_ds(
     own_density: bool = False,
     viscous: bool = False,
     ratio: float = 2.1,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-4,
 ) -> Scheme:
     """MPS-HS-GC-DS with four changes that keep the pressure free of noise and the surface whole. Not published.
 
