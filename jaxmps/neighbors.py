@@ -1,10 +1,12 @@
 """The neighbor table: the one door to jax-md's lists, and `Pairs`, which all operators read.
 
+A list is jax-md's own type with its conventions, and with a search of ours: theirs takes ten to seventy times as long.
 jax-md is imported when a list is first allocated: it takes several seconds.
 """
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -12,15 +14,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxmps._compilation import jit
+from jaxmps._search import search, window_size
 from jaxmps.box import Box
 from jaxmps.particles import Kind, Particles
 
 SKIN = 0.3
 """Default reach of the list beyond the cutoff, in spacings; the list is rebuilt after half of it."""
-
-
-_closures: dict[tuple, tuple[Any, Any]] = {}
-_NEIGHBOR_LIST_OVERFLOW = 1  # jax_md.partition.PartitionErrorCode
 
 
 class Pairs(eqx.Module):
@@ -55,48 +55,48 @@ class Neighbors(eqx.Module):
         return self.table.idx.shape[1]
 
 
-def allocate(
-    position: Float[Array, "n d"],
-    box: Box,
-    cutoff: float,
-    skin: float,
-    capacity: int | None = None,
-) -> Neighbors:
-    """A list of all pairs within `cutoff` + `skin` [m], with `capacity` slots for each particle.
+def allocate(position: Float[Array, "n d"], box: Box, cutoff: float, skin: float, capacity: int) -> Neighbors:
+    """A list of all pairs within `cutoff` + `skin` [m], with `capacity` slots for each particle. Not for use under jit.
 
-    By default a quarter more slots than are needed now. Not for use under jit.
+    Lists of one geometry and size are of one type, so that what was compiled for one serves all.
     """
-    functions = _functions(box, cutoff, skin, position.dtype)
-    inside = _inside(position, box)
-    table = functions.allocate(inside)
-    natural = table.idx.shape[1]
-    if capacity is not None and capacity > natural:
-        table = functions.allocate(inside, capacity - natural)
-    elif capacity is not None:
-        lost = jnp.any(table.idx[:, capacity:] < position.shape[0])
-        table = dataclasses.replace(
-            table,
-            idx=table.idx[:, :capacity],
-            max_occupancy=capacity,
-            error=table.error.update(_NEIGHBOR_LIST_OVERFLOW, lost),
-        )
-    # Each allocation makes its own closures, which are part of the type: with those of the first one, what was
-    # compiled for one list serves all of the same size.
-    kind = (box, cutoff, skin, table.cell_list_fn is None, position.dtype)
-    cell_list_fn, update_fn = _closures.setdefault(kind, (table.cell_list_fn, table.update_fn))
-    table = dataclasses.replace(table, cell_list_fn=cell_list_fn, update_fn=update_fn)
-    return Neighbors(table, box, cutoff, skin)
+    from jax_md import partition
+
+    n = position.shape[0]
+    capacity = max(0, min(capacity, n - 1))
+    jax_md: Any = partition  # type checkers do not see the fields of its classes
+    table = jax_md.NeighborList(
+        idx=jnp.full((n, capacity), n, jnp.int32),
+        reference_position=jnp.full_like(position, jnp.nan),  # nobody was anywhere: the first update builds the list
+        error=jax_md.PartitionError(jnp.zeros((), jnp.uint8)),
+        cell_list_capacity=window_size(box.lengths, box.periodic, cutoff + skin, n, capacity),
+        max_occupancy=capacity,
+        format=jax_md.Dense,
+        cell_size=None,
+        cell_list_fn=None,
+        update_fn=_update_function(box, cutoff, skin),
+    )
+    return _build(Neighbors(table, box, cutoff, skin), position)
 
 
 def update(neighbors: Neighbors, position: Float[Array, "n d"]) -> Neighbors:
-    """The list for new positions, rebuilt only when some particle has moved by more than half the skin."""
-    inside = _inside(jax.lax.stop_gradient(position), neighbors.box)
-    table = neighbors.table.update(inside)
-    return eqx.tree_at(lambda n: n.table, neighbors, table)
+    """The list for new positions, rebuilt only when some particle has moved by more than half the skin.
+
+    A particle whose position is not finite has no neighbors in a list built then.
+    """
+    box = neighbors.box
+    inside = box.wrap(jax.lax.stop_gradient(position)) - jnp.array(box.lower, position.dtype)
+    return eqx.tree_at(lambda n: n.table, neighbors, neighbors.table.update(inside))
+
+
+_build = jit(update)
 
 
 def grow(neighbors: Neighbors, position: Float[Array, "n d"]) -> Neighbors:
-    """A new list, half as large again: geometric, so that few sizes are ever compiled. Not for use under jit."""
+    """A new list, half as large again: geometric, so that few sizes are ever compiled. Not for use under jit.
+
+    The windows of the search grow with the slots.
+    """
     target = neighbors.capacity + max(4, neighbors.capacity // 2)
     return allocate(position, neighbors.box, neighbors.cutoff, neighbors.skin, target)
 
@@ -121,27 +121,26 @@ def pairs(neighbors: Neighbors, particles: Particles, spacing: float) -> Pairs:
     return Pairs(jnp.where(present, j, own), r_ij, distance, present)
 
 
-def _inside(position: Float[Array, "n d"], box: Box) -> Float[Array, "n d"]:
-    """Positions as jax-md wants them: within [0, length), for it truncates toward zero and wraps cell indices."""
-    lengths = jnp.array(box.lengths, position.dtype)
-    shifted = box.wrap(position) - jnp.array(box.lower, position.dtype)
-    return jnp.clip(jnp.nan_to_num(shifted), 0.0, lengths * (1.0 - 1e-6))
-
-
 @functools.cache
-def _functions(box: Box, cutoff: float, skin: float, dtype: Any) -> Any:
-    """jax-md's functions, one set for each geometry: every new set recompiles all that uses its lists."""
-    from jax_md import partition
+def _update_function(box: Box, cutoff: float, skin: float) -> Callable[..., Any]:
+    """jax-md's `update_fn`, one for each geometry: it is part of the type of a list, and so of all that is compiled.
 
-    # The list needs three cells along each axis, else it compares all with all. Open axes may be lengthened for that.
-    lengths = [
-        length if period else max(length, 3.5 * (cutoff + skin))
-        for length, period in zip(box.lengths, box.periodic, strict=True)
-    ]
-    return partition.neighbor_list(
-        lambda a, b, **_: box.displacement(a - b),
-        jnp.array(lengths, dtype),
-        cutoff,
-        dr_threshold=skin,
-        format=partition.Dense,
-    )
+    Positions are jax-md's: relative to the lower corner and, along periodic axes, inside the box.
+    """
+    from jax_md.partition import PartitionErrorCode
+
+    def rebuild(position: Array, table: Any) -> Any:
+        idx, slots_full, windows_full = search(
+            position, box.lengths, box.periodic, cutoff + skin, table.max_occupancy, table.cell_list_capacity
+        )
+        error = table.error.update(PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW, slots_full)
+        error = error.update(PartitionErrorCode.CELL_LIST_OVERFLOW, windows_full)
+        return dataclasses.replace(table, idx=idx, reference_position=position, error=error)
+
+    def update_fn(position: Array, table: Any, **_: Any) -> Any:
+        squared = jnp.sum(box.displacement(position - table.reference_position) ** 2, axis=-1)
+        # Also for a particle that had no finite position before; one that has none now has moved nowhere.
+        moved = ~(squared <= (0.5 * skin) ** 2) & jnp.all(jnp.isfinite(position), axis=-1)
+        return jax.lax.cond(jnp.any(moved), rebuild, lambda _, kept: kept, position, table)
+
+    return update_fn
