@@ -6,11 +6,16 @@ exists; as an XLA flag it would abort the releases that do not know it.
 """
 
 import functools
+import platform
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import platformdirs
+from jax import Array, lax
 from jax.core import Tracer
+from jax.custom_batching import custom_vmap
 
 _OPTIONS = {"xla_cpu_experimental_ynn_fusion_type": ""}
 
@@ -46,3 +51,30 @@ def jit(function: Callable[..., Any], **keywords: Any) -> Callable[..., Any]:
         return (plain if traced else tuned())(*args, **kwargs)
 
     return call
+
+
+@custom_vmap
+def materialized(x: Array) -> Array:
+    """x, which must be computed before anything that reads it.
+
+    The CPU's compiler fuses what makes an array into every reader of it, also where each element is read many times at
+    random, and drops optimization barriers before it does so. A branch that is always taken stops it.
+    """
+    if jax.default_backend() != "cpu":
+        return x
+    return lax.cond(jnp.logical_not(x.ravel()[0] == jnp.inf), lambda x: x, jnp.zeros_like, x)
+
+
+@materialized.def_vmap
+def _materialized_batch(axis_size, in_batched, x):
+    return materialized(x), in_batched[0]
+
+
+def keep_compiled() -> None:
+    """What is compiled from now on is kept on disk for later processes, unless the user's settings say where.
+
+    One folder for each machine: code for one processor does not run on every other that shares a home directory.
+    """
+    if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
+        folder = platformdirs.user_cache_path("jaxmps") / (platform.node() or "machine")
+        jax.config.update("jax_compilation_cache_dir", str(folder))

@@ -42,6 +42,7 @@ class ByMultigrid(AbstractPreconditioning):
     cell: float = eqx.field(static=True, default=3.0)
 
     def __call__(self, operator, unknown, pairs, position, box, spacing):
-        tensor = jnp.einsum("nk,nkd,nke->nde", 0.5 * operator.coupling.T, pairs.r_ij, pairs.r_ij)
+        half, axes = 0.5 * operator.coupling.T, range(position.shape[1])
+        tensor = [[jnp.sum(half * pairs.r_ij[..., a] * pairs.r_ij[..., b], axis=-1) for b in axes] for a in axes]
         grid = cover(box, self.cell * spacing)
         return multigrid(box.wrap(position), tensor, operator.sink, operator.diagonal, unknown, grid)

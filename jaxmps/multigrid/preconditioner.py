@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxmps._compilation import materialized
 from jaxmps.linear import AbstractPreconditioner
 from jaxmps.multigrid.elements import apply, coarsen, entries, row_sums, shape_functions, stencil
 from jaxmps.multigrid.grid import Grid, closed, folded, prolong, restrict
@@ -54,14 +55,14 @@ class Multigrid(AbstractPreconditioner):
 
     def _interpolate(self, x: Float[Array, "*nodes"]) -> Float[Array, " n"]:
         """P x."""
-        values = closed(x, self.grid).ravel()
+        values = materialized(closed(x, self.grid).ravel())
         corners = zip(self.shape, _steps(self.grid), strict=True)
         return sum(weight * values.at[self.node + step].get(mode="promise_in_bounds") for weight, step in corners)
 
 
 def multigrid(
     position: Float[Array, "n d"],
-    tensor: Float[Array, "n d d"],
+    tensor: list[list[Float[Array, " n"]]],
     sink: Float[Array, " n"],
     diagonal: Float[Array, " n"],
     unknown: Bool[Array, " n"],
@@ -69,7 +70,7 @@ def multigrid(
 ) -> Multigrid:
     """The preconditioner of (A p)_i = Σ_j c_ij (p_i − p_j) + s_i p_i with zero p_i where not `unknown`.
 
-    A smooth p has the energy Σ_i (∇p·T_i ∇p + s_i p²) / 2 with the `tensor` T_i = ½ Σ_j c_ij r_ij ⊗ r_ij and the
+    A smooth p has the energy Σ_i (∇p·T_i ∇p + s_i p²) / 2 with the components T_i = ½ Σ_j c_ij r_ij ⊗ r_ij of a `tensor` and the
     `sink` s_i, the coupling to known p_j. This makes a matrix of bilinear finite elements on the grid, with the
     particles as points of quadrature. It stands for Pᵀ A P, whose stencils would be wider, and costs no pass over the
     pairs. Each coarser matrix is Pᵀ K P of the finer one.
@@ -79,7 +80,7 @@ def multigrid(
     corner = jnp.clip(jnp.floor(place), 0, jnp.array(grid.elements, dtype) - 1)
     node = jnp.sum(corner.astype(jnp.int32) * jnp.array(_strides(grid)), axis=-1)
     shape, gradient = shape_functions(jnp.clip(place - corner, 0.0, 1.0), grid)
-    flux = [[sum(t * g for t, g in zip(row, slope, strict=True)) for row in _rows(tensor)] for slope in gradient]
+    flux = [[sum(t * g for t, g in zip(row, slope, strict=True)) for row in tensor] for slope in gradient]
     energy = [
         sum(f * g for f, g in zip(flux[a], gradient[b], strict=True)) + sink * shape[a] * shape[b]
         for a, b in entries(grid.dim)
@@ -129,7 +130,3 @@ def _strides(grid: Grid) -> list[int]:
 def _steps(grid: Grid) -> list[int]:
     """How far each corner of an element lies from the first in memory."""
     return [sum(c * stride for c, stride in zip(corner, _strides(grid), strict=True)) for corner in grid.corners]
-
-
-def _rows(tensor: Float[Array, "n d d"]) -> list[list[Float[Array, " n"]]]:
-    return [[tensor[:, a, b] for b in range(tensor.shape[2])] for a in range(tensor.shape[1])]
