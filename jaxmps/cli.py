@@ -96,8 +96,8 @@ def run(
 
     jax.config.update("jax_enable_x64", precision == "double")
     from jaxmps import simulation, status
-    from jaxmps._compilation import keep_compiled
     from jaxmps._cli_values import build, check_times
+    from jaxmps._compilation import keep_compiled
 
     keep_compiled()
     times = check_times(until, save_every, dt)

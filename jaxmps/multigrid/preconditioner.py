@@ -70,10 +70,10 @@ def multigrid(
 ) -> Multigrid:
     """The preconditioner of (A p)_i = Σ_j c_ij (p_i − p_j) + s_i p_i with zero p_i where not `unknown`.
 
-    A smooth p has the energy Σ_i (∇p·T_i ∇p + s_i p²) / 2 with the components T_i = ½ Σ_j c_ij r_ij ⊗ r_ij of a `tensor` and the
-    `sink` s_i, the coupling to known p_j. This makes a matrix of bilinear finite elements on the grid, with the
-    particles as points of quadrature. It stands for Pᵀ A P, whose stencils would be wider, and costs no pass over the
-    pairs. Each coarser matrix is Pᵀ K P of the finer one.
+    A smooth p has the energy Σ_i (∇p·T_i ∇p + s_i p²) / 2 with the components T_i = ½ Σ_j c_ij r_ij ⊗ r_ij of a
+    `tensor` and the `sink` s_i, the coupling to known p_j. This makes a matrix of bilinear finite elements on the grid,
+    with the particles as points of quadrature. It stands for Pᵀ A P, whose stencils would be wider, and costs no pass
+    over the pairs. Each coarser matrix is Pᵀ K P of the finer one.
     """
     size, dtype = jnp.array(grid.size, position.dtype), position.dtype
     place = jnp.nan_to_num((position - jnp.array(grid.lower, dtype)) / size)
