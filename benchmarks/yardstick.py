@@ -18,16 +18,20 @@ class ReferenceRun:
         particles = state.particles
         fields = (particles.position, particles.velocity, particles.pressure)
         self.flow = Flow(*(np.asarray(field, float) for field in fields), np.asarray(particles.kind))
-        self.tried: dict[str, float] = {}
-        for solver in SOLVERS:
-            stepper = Reference(case, scheme, solver)
-            stepper.list.pairs(self.flow.position, self.flow.kind)
-            began = time.perf_counter()
-            stepper.step(self.flow)
-            self.tried[solver] = 1e3 * (time.perf_counter() - began)
+        self.tried = {solver: self._try(Reference(case, scheme, solver)) for solver in SOLVERS}
         self.stepper = Reference(case, scheme, min(SOLVERS, key=lambda solver: self.tried[solver]))
         self.stepper.list.pairs(self.flow.position, self.flow.kind)
         self._list, self.builds = self.stepper.list, 0
+
+    def _try(self, stepper: Reference) -> float:
+        """The shortest time of a step [ms] in three, or in as many as have begun within a second."""
+        stepper.list.pairs(self.flow.position, self.flow.kind)
+        spent: list[float] = []
+        while len(spent) < 3 and sum(spent) < 1.0:
+            began = time.perf_counter()
+            stepper.step(self.flow)
+            spent.append(time.perf_counter() - began)
+        return 1e3 * min(spent)
 
     def __call__(self) -> None:
         flow, self.stepper.list = self.flow, copy.copy(self._list)
