@@ -1,63 +1,45 @@
-"""The pressure equation by itself: what a step hands to the solver, its solution, and the counted work of that."""
+"""The pressure equation by itself: its solution as in a step, and the counted work of that."""
 
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 from unittest.mock import patch
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 import jaxmps as mps
 from benchmarks.states import Flow
 from benchmarks.timing import compiled
-from jaxmps import stepping
 from jaxmps.linear import Convergence
-from jaxmps.neighbors import Pairs
-from jaxmps.pressure import PoissonOperator, poisson_operator, solve_pressure
+from jaxmps.pressure import PoissonOperator, solve_pressure
+from jaxmps.stepping import Prediction, largest_step, predict, pressure_equation
 
 MOST_ITERATIONS = 20_000
 """Of a cold solve: more than any needs, to count what it takes instead of giving up."""
 
 
-class Equation(NamedTuple):
-    """What the matrix, the right-hand side and the guess of a step's pressure equation are made from."""
-
-    near: Pairs
-    coefficient: Float[Array, "n k"]
-    density: Float[Array, " n"]
-    unknown: Bool[Array, " n"]
-    source: Float[Array, " n"]
-    previous: Float[Array, " n"]
-
-
-def of_step(case: mps.Case, scheme: mps.Scheme, state: mps.State) -> Equation:
-    """The equation of the step from `state`, taken from the step itself while it is traced, so that it is the same."""
-    found: dict[str, Any] = {}
-
-    def assemble(near, coefficient, density, unknown):
-        found.update(near=near, coefficient=coefficient, density=density, unknown=unknown)
-        return poisson_operator(near, coefficient, density, unknown)
-
-    def leave(_, source, unknown, previous, *rest):
-        found.update(source=source, previous=previous)
-        return jnp.zeros_like(previous), Convergence(jnp.zeros_like(source[0]), jnp.array(True))
-
-    with patch.object(stepping, "poisson_operator", assemble), patch.object(stepping, "solve_pressure", leave):
-        dt = stepping.largest_step(case, scheme, state.particles)
-        stepping.step(case, scheme, state, dt, jax.random.key(0))
-    return Equation(**found)
+def prediction(case: mps.Case, scheme: mps.Scheme, state: mps.State) -> Prediction:
+    """The explicit part of the step from `state`, whose pressure equation is to be solved."""
+    return predict(case, scheme, state, largest_step(case, scheme, state.particles), jax.random.key(0))
 
 
 def solve(
-    equation: Equation, tolerance: float, most_iterations: int, cold: bool = False
+    case: mps.Case,
+    scheme: mps.Scheme,
+    predicted: Prediction,
+    tolerance: float,
+    most_iterations: int,
+    cold: bool = False,
 ) -> tuple[Float[Array, " n"], Convergence]:
     """p [Pa] by matrix, preconditioner and solver as in a step; from the previous pressure, or, `cold`, from zero."""
-    operator = poisson_operator(equation.near, equation.coefficient, equation.density, equation.unknown)
-    guess = jnp.zeros_like(equation.previous) if cold else equation.previous
-    return solve_pressure(operator, equation.source, equation.unknown, guess, tolerance, most_iterations)
+    equation = pressure_equation(case, scheme, predicted)
+    if cold:
+        equation = equation._replace(previous=jnp.zeros_like(equation.previous))
+    return solve_pressure(equation, tolerance, most_iterations)
 
 
 class Tally:
@@ -96,16 +78,17 @@ def counted() -> Iterator[Tally]:
 def row(flow: Flow, x64: bool) -> dict[str, Any]:
     """Products with the matrix that the solution takes from zero, to 1e-6 in double and 1e-5 in single precision."""
     tolerance = 1e-6 if x64 else 1e-5
-    equation = compiled(of_step, *flow[1:])(*flow[1:])
+    _, case, scheme, state = flow
+    predicted = compiled(prediction, case, scheme, state)(case, scheme, state)
     with counted() as tally:
-        count = compiled(lambda e: solve(e, tolerance, MOST_ITERATIONS, cold=True), equation)
-    _, convergence = count(equation)
+        cold = partial(solve, tolerance=tolerance, most_iterations=MOST_ITERATIONS, cold=True)
+        _, convergence = compiled(cold, case, scheme, predicted)(case, scheme, predicted)
     return {
         "case": flow.name,
-        "particles": len(flow.case.particles.kind),
-        "unknowns": int(jnp.sum(equation.unknown)),
-        "dim": flow.case.dim,
-        "scheme": flow.scheme.name,
+        "particles": len(case.particles.kind),
+        "unknowns": int(jnp.sum(state.particles.has_pressure & ~predicted.surface)),
+        "dim": case.dim,
+        "scheme": scheme.name,
         "precision": "double" if x64 else "single",
         "tolerance": tolerance,
         "operator_applications": tally.take(),

@@ -131,12 +131,18 @@ class Reference:
 
     def _matrix(self, near: Pairs, w: np.ndarray, unknown: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
         n, c = len(unknown), self.laplacian * w
-        diagonal = (np.bincount(near.i, c, n) + np.bincount(near.j, c, n))[unknown]
-        diagonal = np.where(diagonal > 0, diagonal, 1.0)
+        i, j = near.i, near.j
+        both = np.flatnonzero(unknown[i] & unknown[j])
         row = np.cumsum(unknown, dtype=np.int32) - 1
-        size = len(diagonal)
-        both = np.flatnonzero(unknown[near.i] & unknown[near.j])
-        upper = sparse.csr_array((-c[both], (row[near.i[both]], row[near.j[both]])), shape=(size, size))
+        size = int(np.sum(unknown))
+        upper = sparse.csr_array((-c[both], (row[i[both]], row[j[both]])), shape=(size, size))
+        diagonal = np.bincount(i, c, n) + np.bincount(j, c, n)
+        partners = np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
+        inside = np.bincount(i[both], minlength=n) + np.bincount(j[both], minlength=n)
+        # Lonely clumps without a known pressure are tied weakly to zero.
+        tied = (partners <= self.dim + 1) & (partners == inside)
+        diagonal = np.where(tied, (1.0 + 1e-3) * diagonal, diagonal)[unknown]
+        diagonal = np.where(diagonal > 0, diagonal, 1.0)
         return upper + upper.T.tocsr() + sparse.diags_array(diagonal, format="csr"), diagonal
 
     def _solve(self, matrix: sparse.csr_array, diagonal: np.ndarray, b: np.ndarray, guess: np.ndarray) -> np.ndarray:

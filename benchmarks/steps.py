@@ -6,6 +6,7 @@ pressure equation (PPE) is matrix, preconditioner and solution, measured by itse
 the last. The operators are all that remains.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -103,9 +104,10 @@ def _differ(a: Neighbors, b: Neighbors) -> Array:
 
 def _parts(run: StepRun, last: mps.State, rebuilds: float, turns: int) -> dict[str, float]:
     _, case, scheme, state = run.flow
-    make = compiled(equation.of_step, case, scheme, state)
-    first, final = make(case, scheme, state), make(case, scheme, last)
-    solve = compiled(lambda e: equation.solve(e, scheme.tolerance, scheme.max_iterations), first)
+    predict = compiled(equation.prediction, case, scheme, state)
+    first, final = predict(case, scheme, state), predict(case, scheme, last)
+    limits = {"tolerance": scheme.tolerance, "most_iterations": scheme.max_iterations}
+    solve = compiled(partial(equation.solve, **limits), case, scheme, first)
 
     # One particle back and forth by twice the skin: each update finds the list out of date.
     here = state.particles.position
@@ -114,8 +116,8 @@ def _parts(run: StepRun, last: mps.State, rebuilds: float, turns: int) -> dict[s
     fresh = renew(state.neighbors, there, here)
     times = medians(
         [
-            lambda: solve(first),
-            lambda: solve(final),
+            lambda: solve(case, scheme, first),
+            lambda: solve(case, scheme, final),
             lambda: renew(fresh, there, here),
             lambda: renew(fresh, here, here),
         ],

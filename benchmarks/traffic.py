@@ -9,29 +9,35 @@ Passes of a step, with n particles, k slots, d dimensions, floats of s bytes and
 - collisions: these four read.
 - weight and number density: distance and presence read, weight written (2 s + 1).
 - matrix: j and weight read, j and coupling written in the order of the solver (2 (i + s)).
+- preconditioner: coupling and r_ij read (s + d s), its own arrays written.
 - each product with the matrix: j and coupling read (i + s).
 - gradient: j and weight for the minimum, then j, weight, distance and r_ij (2 i + 3 s + d s).
 - report: distance and presence read (s + 1).
 
-Per particle each pass also reads or writes some fields: position, velocity and pressure, 12 (d + 1) s in all, and
-around each product with the matrix 16 s: x, diagonal and result, and the vectors of conjugate gradients. Coarser levels
-of a preconditioner are left out. XLA fuses passes and then moves less; gathers that miss the cache move more.
+With each product the preconditioner is applied once and reads its arrays twice, on the way down and up again, and 16 s
+are moved per particle: x, diagonal and result, and the vectors of conjugate gradients. The other passes read and write
+fields of the particles, position, velocity and pressure, 12 (d + 1) s in all. XLA fuses passes and then moves less;
+gathers that miss the cache move more.
 """
 
 import jax
 
 import jaxmps as mps
-from jaxmps.neighbors import pairs
+from benchmarks.equation import prediction
+from jaxmps.stepping import pressure_equation
 
 
-def bytes_per_step(case: mps.Case, scheme: mps.Scheme, state: mps.State, applications: float, rebuilds: float) -> float:
+def bytes_per_step(case: mps.Case, scheme: mps.Scheme, state: mps.State, products: float, rebuilds: float) -> float:
     """The bytes that a step reads and writes with so many products with the matrix and rebuilds of the list."""
-    near = jax.eval_shape(lambda s: pairs(s.neighbors, s.particles, case.spacing), state)
+    near = jax.eval_shape(prediction, case, scheme, state).near
+    equation = jax.eval_shape(lambda *flow: pressure_equation(case, scheme, prediction(*flow)), case, scheme, state)
+    own = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(equation.preconditioner))
     (n, slots), dim = near.j.shape, case.dim
     s, i = near.distance.dtype.itemsize, near.j.dtype.itemsize
     reach = scheme.ratio + state.neighbors.skin / case.spacing
     rebuild = n * ((3.0 * reach) ** dim * (i + dim * s) + slots * i)
-    table = i + dim * s + s + 1
-    passes = 2 * (i + table) + table + (2 * s + 1) + 2 * (i + s) + (2 * i + 3 * s + dim * s) + (s + 1)
-    product = slots * (i + s) + 16 * s
-    return rebuilds * rebuild + n * (slots * passes + 12 * (dim + 1) * s) + applications * n * product
+    pairs = i + dim * s + s + 1
+    explicit = 2 * (i + pairs) + pairs + (2 * s + 1)
+    implicit = 2 * (i + s) + (s + dim * s) + (2 * i + 3 * s + dim * s) + (s + 1)
+    product = n * (slots * (i + s) + 16 * s) + 2 * own
+    return rebuilds * rebuild + n * (slots * (explicit + implicit) + 12 * (dim + 1) * s) + own + products * product
