@@ -9,6 +9,7 @@ are counted where they are made, in a run of its own.
 """
 
 import argparse
+import itertools
 import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -96,20 +97,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _steps(size: Size, quick: bool, report: Report) -> list[steps.StepRun]:
     """Both precisions and the reference in turn; in a quick run the parts of the step are measured in double only."""
-    runs, turns = [], 3 if quick else size.turns
+    runs = []
     for x64 in (True, False):
         with jax.enable_x64(x64):
             case = size.make(spacing=size.spacing)
-            runs.append(steps.StepRun(case.name, case, size.steps, size.chunks))
+            runs.append(steps.StepRun(case.name, case, size.steps, size.chunks, parts=x64 or not quick))
     others = [yardstick.ReferenceRun(*runs[0].flow, size.steps)] if runs[0].flow.case.dim == 2 else []
-    times = medians([*runs, *others], turns)
-    bandwidth, fastest = report.results["machine"]["copy_gb_per_s"], 0.0
-    for run, seconds in zip(runs, times, strict=False):
-        row = steps.row(run, seconds, bandwidth, turns, parts=run.x64 or not quick)
-        report.add("step", table.STEP, row, by=f"{row['precision']}")
+    times = iter(medians([*runs[0].calls, *runs[1].calls, *others], 3 if quick else size.turns))
+    fastest = 0.0
+    for run in runs:
+        spent = list(itertools.islice(times, len(run.calls)))
+        row = steps.row(run, spent, report.results["machine"]["copy_gb_per_s"])
+        report.add("step", table.STEP, row, by=row["precision"])
         fastest = fastest or row["particle_steps_per_second"]
-    for other in others:
-        row = yardstick.row(other, times[-1])
+    for other, seconds in zip(others, times, strict=True):
+        row = yardstick.row(other, seconds)
         row["ours_is_times_as_fast"] = fastest / row["particle_steps_per_second"]
         report.add("reference", table.STEP, row, by=f"SciPy, {row['solver']}")
     return runs

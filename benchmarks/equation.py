@@ -79,10 +79,10 @@ def row(flow: Flow, x64: bool) -> dict[str, Any]:
     """Products with the matrix that the solution takes from zero, to 1e-6 in double and 1e-5 in single precision."""
     tolerance = 1e-6 if x64 else 1e-5
     _, case, scheme, state = flow
-    predicted = compiled(prediction, case, scheme, state)(case, scheme, state)
+    predicted = compiled(prediction, case, scheme, state, hasty=True)(case, scheme, state)
     with counted() as tally:
         cold = partial(solve, tolerance=tolerance, most_iterations=MOST_ITERATIONS, cold=True)
-        _, convergence = compiled(cold, case, scheme, predicted)(case, scheme, predicted)
+        _, convergence = compiled(cold, case, scheme, predicted, hasty=True)(case, scheme, predicted)
     return {
         "case": flow.name,
         "particles": len(case.particles.kind),

@@ -6,6 +6,7 @@ pressure equation (PPE) is matrix, preconditioner and solution, measured by itse
 the last. The operators are all that remains.
 """
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,7 @@ from jaxtyping import Array, Float
 import jaxmps as mps
 from benchmarks import equation
 from benchmarks.states import Flow
-from benchmarks.timing import compiled, medians
+from benchmarks.timing import compiled
 from benchmarks.traffic import bytes_per_step
 from jaxmps.neighbors import Neighbors, update
 from jaxmps.status import FATAL, Status
@@ -28,9 +29,12 @@ _TROUBLE = int(FATAL | Status.TABLE_FULL)
 
 
 class StepRun:
-    """The standard method on the case in one precision: warmed up by so many chunks of steps; a call runs the next."""
+    """The standard method on the case in one precision, warmed up by so many chunks of steps.
 
-    def __init__(self, name: str, case: mps.Case, steps: int, chunks: int):
+    `calls` are what is to be timed, in turn with what it is compared with: the next steps, and with `parts` these too.
+    """
+
+    def __init__(self, name: str, case: mps.Case, steps: int, chunks: int, parts: bool):
         self.steps, self.x64 = steps, bool(jax.config.jax_enable_x64)
         scheme = mps.schemes.mps()
         state = mps.start(case, scheme)
@@ -40,21 +44,17 @@ class StepRun:
             if np.any(np.asarray(info.status) & _TROUBLE):
                 raise RuntimeError(f"a benchmark must run without trouble, got the status {np.asarray(info.status)}")
         self.flow = Flow(name, case, scheme, state)
+        self.last, self.products, self.rebuilds, self.missed = _count(self.flow, steps)
+        self.calls: list[Callable[[], Any]] = [lambda: self.rollout(*self.flow[1:])]
+        self.calls += _parts(self.flow, self.last) if parts else []
 
-    def __call__(self) -> None:
-        self.rollout(*self.flow[1:])
 
-
-def row(run: StepRun, seconds: float, bandwidth: float, turns: int, parts: bool) -> dict[str, Any]:
-    """The row of the table, given the time of a call [s] and the bandwidth of a copy [GB/s]; parts only on demand."""
+def row(run: StepRun, seconds: Sequence[float], bandwidth: float) -> dict[str, Any]:
+    """The row of the table, given the time of each of its calls [s] and the bandwidth of a copy [GB/s]."""
     name, case, scheme, state = run.flow
-    particles, total = len(case.particles.kind), seconds / run.steps
+    particles, total = len(case.particles.kind), seconds[0] / run.steps
     with jax.enable_x64(run.x64):
-        last, applications, rebuilds, missed = _count(run)
-        moved = bytes_per_step(case, scheme, state, applications, rebuilds)
-        shares = _parts(run, last, rebuilds, turns) if parts else {}
-    if shares:
-        shares["operators_ms"] = 1e3 * total - shares["list_ms"] - shares["ppe_ms"]
+        moved = bytes_per_step(case, scheme, state, run.products, run.rebuilds)
     return {
         "case": name,
         "particles": particles,
@@ -63,10 +63,10 @@ def row(run: StepRun, seconds: float, bandwidth: float, turns: int, parts: bool)
         "steps": run.steps,
         "time_s": float(state.time),
         "ms_per_step": 1e3 * total,
-        **shares,
-        "operator_applications": applications,
-        "missed_tolerance": missed,
-        "rebuilds_per_step": rebuilds,
+        **_shares(total, seconds[1:], run.rebuilds),
+        "operator_applications": run.products,
+        "missed_tolerance": run.missed,
+        "rebuilds_per_step": run.rebuilds,
         "particle_steps_per_second": particles / total,
         "gb_per_step": moved / 1e9,
         "gb_per_s": moved / 1e9 / total,
@@ -76,7 +76,17 @@ def row(run: StepRun, seconds: float, bandwidth: float, turns: int, parts: bool)
     }
 
 
-def _count(run: StepRun) -> tuple[mps.State, float, float, int]:
+def _shares(total: float, parts: Sequence[float], rebuilds: float) -> dict[str, float]:
+    if not parts:
+        return {}
+    first, final, renew, keep = parts
+    rebuild, look = renew / _UPDATES, keep / _UPDATES
+    ppe, neighbors = 0.5 * (first + final), rebuilds * rebuild + max(0.0, 2.0 - rebuilds) * look
+    shares = {"ppe": ppe, "list": neighbors, "operators": total - ppe - neighbors, "rebuild": rebuild, "look": look}
+    return {f"{part}_ms": 1e3 * spent for part, spent in shares.items()}
+
+
+def _count(flow: Flow, steps: int) -> tuple[mps.State, float, float, int]:
     """The state after the steps; per step the products with the matrix and the rebuilds of the list; and the number of
     steps whose solution missed its tolerance.
     """
@@ -88,12 +98,12 @@ def _count(run: StepRun) -> tuple[mps.State, float, float, int]:
         new, info = step(case, scheme, state, dt, jax.random.key(0))
         return new, (_differ(state.neighbors, before) + _differ(before, new.neighbors), info.status)
 
-    _, case, scheme, state = run.flow
+    _, case, scheme, state = flow
     with equation.counted() as tally:
-        roll = compiled(lambda start: jax.lax.scan(body, start, None, length=run.steps), state)
+        roll = compiled(lambda start: jax.lax.scan(body, start, None, length=steps), state, hasty=True)
     last, (rebuilds, status) = roll(state)
     missed = int(np.sum(np.asarray(status) & Status.NOT_CONVERGED != 0))
-    return last, tally.take() / run.steps, float(np.mean(np.asarray(rebuilds))), missed
+    return last, tally.take() / steps, float(np.mean(np.asarray(rebuilds))), missed
 
 
 def _differ(a: Neighbors, b: Neighbors) -> Array:
@@ -102,9 +112,10 @@ def _differ(a: Neighbors, b: Neighbors) -> Array:
     return jnp.any(jnp.stack([jnp.any(x != y) for x, y in pairs])).astype(int)
 
 
-def _parts(run: StepRun, last: mps.State, rebuilds: float, turns: int) -> dict[str, float]:
-    _, case, scheme, state = run.flow
-    predict = compiled(equation.prediction, case, scheme, state)
+def _parts(flow: Flow, last: mps.State) -> list[Callable[[], Any]]:
+    """The pressure equation of the first step and of the one after the last, and updates with and without a rebuild."""
+    _, case, scheme, state = flow
+    predict = compiled(equation.prediction, case, scheme, state, hasty=True)
     first, final = predict(case, scheme, state), predict(case, scheme, last)
     limits = {"tolerance": scheme.tolerance, "most_iterations": scheme.max_iterations}
     solve = compiled(partial(equation.solve, **limits), case, scheme, first)
@@ -114,21 +125,12 @@ def _parts(run: StepRun, last: mps.State, rebuilds: float, turns: int) -> dict[s
     there = here.at[jnp.argmax(state.particles.fluid), -1].add(2.0 * state.neighbors.skin)
     renew = compiled(_updates, state.neighbors, there, here)
     fresh = renew(state.neighbors, there, here)
-    times = medians(
-        [
-            lambda: solve(case, scheme, first),
-            lambda: solve(case, scheme, final),
-            lambda: renew(fresh, there, here),
-            lambda: renew(fresh, here, here),
-        ],
-        turns,
-    )
-    rebuild, look = times[2] / _UPDATES, times[3] / _UPDATES
-    return {
-        "ppe_ms": 1e3 * 0.5 * (times[0] + times[1]),
-        "list_ms": 1e3 * (rebuilds * rebuild + max(0.0, 2.0 - rebuilds) * look),
-        "rebuild_ms": 1e3 * rebuild,
-    }
+    return [
+        lambda: solve(case, scheme, first),
+        lambda: solve(case, scheme, final),
+        lambda: renew(fresh, there, here),
+        lambda: renew(fresh, here, here),
+    ]
 
 
 def _updates(neighbors: Neighbors, odd: Float[Array, "n d"], even: Float[Array, "n d"]) -> Neighbors:
