@@ -34,12 +34,15 @@ def run(case: mps.Case, scheme: mps.Scheme, state: mps.State, steps: int) -> mps
 
 
 def stirred(state: mps.State) -> mps.State:
-    """With random velocities, so that particles collide, and a particle that is about to leave through the top."""
+    """With random velocities, so that particles collide, a particle that is about to leave through the top, and three in
+    the air so close to each other that none of them passes for surface.
+    """
     particles = state.particles
     noise = np.random.default_rng(0).normal(0.0, 0.5, particles.velocity.shape)
     velocity = np.where(np.asarray(particles.fluid)[:, None], particles.velocity + noise, 0.0)
     position = np.array(particles.position)
     position[0], velocity[0] = (1.0, 3.99), (0.0, 3.0)
+    position[1:4], velocity[1:4] = [(1.0, 1.5), (1.02, 1.5), (1.01, 1.517)], 0.0
     return eqx.tree_at(
         lambda s: (s.particles.position, s.particles.velocity), state, (jnp.asarray(position), jnp.asarray(velocity))
     )
@@ -58,7 +61,7 @@ def test_the_reference_makes_the_same_steps_as_we_do(collapse, disturb, solver: 
         for _ in range(steps):
             flow = reference.step(flow)
         ours = state.particles
-        assert np.max(ours.pressure) > 1000.0
+        assert np.max(ours.pressure[10:]) > 1000.0
         np.testing.assert_allclose(flow.position, ours.position, rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(flow.velocity, ours.velocity, rtol=0.0, atol=1e-8)
         np.testing.assert_allclose(flow.pressure, ours.pressure, rtol=1e-8, atol=1e-4)
