@@ -49,7 +49,7 @@ format: .venv/.installed-test
 	$(BIN)/ruff check --fix .
 
 bench: .venv/.installed
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+	$(BIN)/python -m benchmarks
 
 clean:
 	rm -rf .venv build dist out demo .pytest_cache .ruff_cache .import_linter_cache
