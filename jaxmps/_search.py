@@ -68,13 +68,17 @@ def search(
 
 def window_size(lengths: tuple[float, ...], periodic: tuple[bool, ...], reach: float, n: int, capacity: int) -> int:
     """Places in a window that go with `capacity` slots: a fifth more than a uniform cloud needs that fills these."""
-    every = round_up(n, _LANES)
+    every = round_up(n)
     if capacity < n - 1:
         grid = make_grid(lengths, periodic, reach, n)
         volume = math.prod(grid.width) * min(2 * _FINE + 1, grid.shape[-1])
-        ball = math.pi * reach**2 if len(lengths) == 2 else 4.0 / 3.0 * math.pi * reach**3
-        every = min(every, round_up(math.ceil(1.2 * capacity * volume / ball), _LANES))
+        every = min(every, round_up(math.ceil(1.2 * capacity * volume / ball(reach, len(lengths)))))
     return every if every <= _BITS else round_up(every, _BITS)
+
+
+def ball(radius: float, dim: int) -> float:
+    """The area of a circle, the volume of a sphere."""
+    return math.pi * radius**2 if dim == 2 else 4.0 / 3.0 * math.pi * radius**3
 
 
 def round_up(size: int, multiple: int = _LANES) -> int:

@@ -6,6 +6,7 @@ jax-md is imported when a list is first allocated: it takes several seconds.
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,12 +16,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._compilation import jit
-from jaxmps._search import search, window_size
+from jaxmps._search import ball, search, window_size
 from jaxmps.box import Box
+from jaxmps.kernels import lattice
 from jaxmps.particles import Kind, Particles
 
-SKIN = 0.3
-"""Default reach of the list beyond the cutoff, in spacings; the list is rebuilt after half of it."""
+SKIN = 0.1
+"""Default reach of the list beyond the cutoff, in spacings; the list is rebuilt after half of it.
+
+A slot costs more than a rebuild saves: all that is summed over neighbors runs over empty slots, too. The list is
+rebuilt once in nearly every step, at the predicted positions; from there the correction moves nobody by half the skin.
+"""
 
 
 class Pairs(eqx.Module):
@@ -53,6 +59,14 @@ class Neighbors(eqx.Module):
     def capacity(self) -> int:
         """Slots for neighbors of each particle."""
         return self.table.idx.shape[1]
+
+
+def usual_capacity(reach: float, dim: int) -> int:
+    """Slots for neighbors within `reach` spacings: a quarter more than in a uniform cloud, and room for the lattice.
+
+    Flows of all our cases came to 18 of 20 slots in 2-D and 53 of 56 in 3-D, at 2.2 spacings.
+    """
+    return max(math.ceil(1.25 * ball(reach, dim)), lattice(reach, dim).neighbors)
 
 
 def allocate(position: Float[Array, "n d"], box: Box, cutoff: float, skin: float, capacity: int) -> Neighbors:

@@ -108,6 +108,9 @@ class PoissonOperator(AbstractOperator):
             product = product - coupling * x[j]
         return product
 
+    def magnitude(self, x):
+        return 2.0 * self.diagonal * jnp.abs(x)
+
 
 def poisson_operator(
     pairs: Pairs, coefficient: Float[Array, "n k"], density: Float[Array, " n"], unknown: Bool[Array, " n"]

@@ -12,10 +12,9 @@ from jaxtyping import Array, Key
 from jaxmps._compilation import jit
 from jaxmps._types import ArrayLike, Scalar
 from jaxmps.case import Case
-from jaxmps.kernels import lattice
 from jaxmps.loop import Loop
 from jaxmps.monitor import StepInfo
-from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs
+from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
 from jaxmps.recorder import Recorder
@@ -29,9 +28,9 @@ from jaxmps.validation import positive
 def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
     """The state at t = 0 with its neighbor list allocated. Not for use under jit.
 
-    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default half as
-    many again as a full lattice fills. Raises `ValueError` if the box is too short along a periodic axis: a particle
-    would meet two images of another.
+    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default a quarter
+    more than particles have neighbors in a uniform cloud. Raises `ValueError` if the box is too short along a periodic
+    axis: a particle would meet two images of another.
     """
     positive("skin", skin, "spacings")
     for periodic, axis, length in zip(case.box.periodic, "xyz", case.box.lengths, strict=False):
@@ -41,7 +40,7 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
                 f"periodic axis {axis}, got {length:g} m"
             )
     if capacity is None:
-        capacity = 3 * lattice(scheme.ratio + skin, case.dim).neighbors // 2
+        capacity = usual_capacity(scheme.ratio + skin, case.dim)
     radius = scheme.ratio * case.spacing
     neighbors = allocate(case.particles.position, case.box, radius, skin * case.spacing, capacity)
     n, surface = _first_look(case, scheme, neighbors)

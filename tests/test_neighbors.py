@@ -11,7 +11,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from jaxmps import Box, Kind
-from jaxmps.neighbors import Neighbors, Pairs, allocate, grow, pairs, update
+from jaxmps.kernels import lattice
+from jaxmps.neighbors import Neighbors, Pairs, allocate, grow, pairs, update, usual_capacity
 from jaxmps.particles import at_rest
 
 SPACING = 0.1
@@ -245,6 +246,12 @@ def test_lists_of_the_same_geometry_do_not_compile_anything_anew():
     position = jnp.array(cloud(OPEN, seed=0))
     first, second = (allocate(position, OPEN, CUTOFF, SKIN, CAPACITY[2]) for _ in range(2))
     assert jax.tree.structure(first) == jax.tree.structure(second)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_usual_capacity_holds_a_full_lattice(dim):
+    for reach in np.linspace(1.5, 4.5, 301):
+        assert usual_capacity(reach, dim) >= lattice(reach, dim).neighbors
 
 
 def test_particles_that_were_removed_have_no_pairs():
