@@ -91,17 +91,19 @@ def _count(flow: Flow, steps: int) -> tuple[mps.State, float, float, int]:
     steps whose solution missed its tolerance.
     """
 
-    def body(state: mps.State, _: None) -> tuple[mps.State, tuple[Array, Array]]:
-        # A step updates the list twice; the first result is gone when it ends.
-        before = update(state.neighbors, state.particles.position)
-        dt = largest_step(case, scheme, state.particles)
-        new, info = step(case, scheme, state, dt, jax.random.key(0))
-        return new, (_differ(state.neighbors, before) + _differ(before, new.neighbors), info.status)
+    def roll(case: mps.Case, scheme: mps.Scheme, state: mps.State) -> tuple[mps.State, tuple[Array, Array]]:
+        def body(state: mps.State, _: None) -> tuple[mps.State, tuple[Array, Array]]:
+            # A step updates the list twice; the first result is gone when it ends.
+            before = update(state.neighbors, state.particles.position)
+            dt = largest_step(case, scheme, state.particles)
+            new, info = step(case, scheme, state, dt, jax.random.key(0))
+            return new, (_differ(state.neighbors, before) + _differ(before, new.neighbors), info.status)
 
-    _, case, scheme, state = flow
+        return jax.lax.scan(body, state, None, length=steps)
+
     with equation.counted() as tally:
-        roll = compiled(lambda start: jax.lax.scan(body, start, None, length=steps), state, hasty=True)
-    last, (rebuilds, status) = roll(state)
+        run = compiled(roll, *flow[1:], hasty=True)
+    last, (rebuilds, status) = run(*flow[1:])
     missed = int(np.sum(np.asarray(status) & Status.NOT_CONVERGED != 0))
     return last, tally.take() / steps, float(np.mean(np.asarray(rebuilds))), missed
 

@@ -34,8 +34,8 @@ def run(case: mps.Case, scheme: mps.Scheme, state: mps.State, steps: int) -> mps
 
 
 def stirred(state: mps.State) -> mps.State:
-    """With random velocities, so that particles collide, a particle that is about to leave through the top, and three in
-    the air so close to each other that none of them passes for surface.
+    """With random velocities, so that particles collide, a particle that is about to leave through the top, and three
+    in the air so close to each other that none of them passes for surface.
     """
     particles = state.particles
     noise = np.random.default_rng(0).normal(0.0, 0.5, particles.velocity.shape)
