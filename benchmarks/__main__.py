@@ -76,13 +76,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     report = Report(options.json)
     table.head(table.STEP)
-    runs = {name: _steps(SIZES[name], options.quick, report) for name in names}
+    runs = {name: _steps(name, options.quick, report) for name in names}
     table.head(table.SOLVE)
-    for name, both in runs.items():
-        for run in both[:1] if options.quick else both:
-            with jax.enable_x64(run.x64):
-                for flow in _flows(name, run, options.quick):
-                    report.add("pressure_solve", table.SOLVE, equation.row(flow, run.x64))
+    solved = [(name, run) for name, several in runs.items() for run in several]
+    for name, run in solved[:1] if options.quick else solved:
+        with jax.enable_x64(run.x64):
+            for flow in _flows(name, run, options.quick):
+                report.add("pressure_solve", table.SOLVE, equation.row(flow, run.x64))
     if options.quick:
         return
     with jax.enable_x64(True):
@@ -95,15 +95,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
             report.add("ensemble", table.ENSEMBLE, variants.ensemble(run.flow, run.steps, 3))
 
 
-def _steps(size: Size, quick: bool, report: Report) -> list[steps.StepRun]:
-    """Both precisions and the reference in turn; in a quick run the parts of the step are measured in double only."""
-    runs = []
-    for x64 in (True, False):
+def _steps(name: str, quick: bool, report: Report) -> list[steps.StepRun]:
+    """Both precisions and the reference in turn.
+
+    In a quick run the parts of the step are measured in double only, and single precision at the smallest size.
+    """
+    size, runs = SIZES[name], []
+    for x64 in (True, False) if name == QUICK[0] or not quick else (True,):
         with jax.enable_x64(x64):
             case = size.make(spacing=size.spacing)
             runs.append(steps.StepRun(case.name, case, size.steps, size.chunks, parts=x64 or not quick))
     others = [yardstick.ReferenceRun(*runs[0].flow, size.steps)] if runs[0].flow.case.dim == 2 else []
-    times = iter(medians([*runs[0].calls, *runs[1].calls, *others], 3 if quick else size.turns))
+    calls = itertools.chain(*(run.calls for run in runs), others)
+    times = iter(medians(list(calls), 3 if quick else size.turns))
     fastest = 0.0
     for run in runs:
         spent = list(itertools.islice(times, len(run.calls)))
@@ -120,13 +124,14 @@ def _steps(size: Size, quick: bool, report: Report) -> list[steps.StepRun]:
 def _flows(name: str, run: steps.StepRun, quick: bool) -> Iterator[states.Flow]:
     """The flows whose pressure is solved for: those of the case itself, and others of the same number of particles."""
     case, particles = run.flow.case, len(run.flow.case.particles.kind)
-    yield states.begin(f"{case.name} at rest", case)
     yield run.flow._replace(name=f"{case.name} in collapse")
-    if quick and name == QUICK[0]:
+    if quick:
         yield states.begin("splash", splash(particles))
-    if not quick and case.dim == 2:
+        return
+    yield states.begin(f"{case.name} at rest", case)
+    if case.dim == 2:
         yield from states.flows(particles)
-    if not quick and name == "2k" and run.x64:
+    if name == QUICK[0] and run.x64:
         yield from states.simulated(case, REAL_SPLASH)
 
 
