@@ -43,8 +43,8 @@ class Jacobi(AbstractPreconditioner):
 
 
 class Convergence(NamedTuple):
-    """The true relative residual ‖b − A x‖ / ‖b‖ of a solve (zero for b = 0), and whether it met its tolerance as far as
-    round-off allows.
+    """The true relative residual ‖b − A x‖ / ‖b‖ of a solve (zero for b = 0), and whether it met its tolerance, as far
+    as round-off allows.
     """
 
     residual: Scalar
