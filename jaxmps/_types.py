@@ -1,5 +1,8 @@
 """Array types and conversions that every module shares."""
 
+import functools
+import operator
+from collections.abc import Iterable
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,3 +18,8 @@ def as_array(value: Any) -> Array:
     A bare Python float in a module is static: every value of it would be compiled anew.
     """
     return jnp.asarray(value, dtype=float)
+
+
+def total(parts: Iterable[Array]) -> Array:
+    """The sum of arrays, of which there is at least one."""
+    return functools.reduce(operator.add, parts)

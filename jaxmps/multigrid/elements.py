@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxmps._types import total
 from jaxmps.multigrid.grid import Grid, folded, haloed
 
 
@@ -27,9 +28,10 @@ def shape_functions(
     """The shape functions of the corners at places in [0, 1]^d of an element, and the components of their gradients."""
     sides = [[(1.0 - local[:, axis], local[:, axis])[c] for axis, c in enumerate(corner)] for corner in grid.corners]
     slopes = [[(-1.0 / h, 1.0 / h)[c] for h, c in zip(grid.size, corner, strict=True)] for corner in grid.corners]
-    shape = [math.prod(side[1:], start=side[0]) for side in sides]
+    one = jnp.ones_like(local[:, 0])
+    shape = [math.prod(side, start=one) for side in sides]
     gradient = [
-        [slope[axis] * math.prod(side[:axis] + side[axis + 1 :]) for axis in range(grid.dim)]
+        [math.prod(side[:axis] + side[axis + 1 :], start=slope[axis] * one) for axis in range(grid.dim)]
         for side, slope in zip(sides, slopes, strict=True)
     ]
     return shape, gradient
@@ -37,10 +39,10 @@ def shape_functions(
 
 def stencil(matrices: Float[Array, "entries *elements"], grid: Grid) -> Float[Array, "offsets *haloed"]:
     """The assembled matrix: the forward half of each node's stencil, with a halo."""
-    half = dict.fromkeys(_offsets(grid), 0.0)
+    half: dict[tuple[int, ...], list[Array]] = {offset: [] for offset in _offsets(grid)}
     for matrix, (a, b) in zip(matrices, entries(grid.dim), strict=True):
-        half[_offset(grid, a, b)] += _to_node(matrix, grid.corners[a], grid)
-    return jnp.stack([haloed(part, grid) for part in half.values()])
+        half[_offset(grid, a, b)].append(_to_node(matrix, grid.corners[a], grid))
+    return jnp.stack([haloed(total(parts), grid) for parts in half.values()])
 
 
 def apply(half: Float[Array, "offsets *haloed"], x: Float[Array, "*nodes"], grid: Grid) -> Float[Array, "*nodes"]:
@@ -60,21 +62,21 @@ def apply(half: Float[Array, "offsets *haloed"], x: Float[Array, "*nodes"], grid
 
 def row_sums(matrices: Float[Array, "entries *elements"], grid: Grid) -> Float[Array, "*nodes"]:
     """Σ_b |K_ab| over the elements at each node a: no eigenvalue of K divided by it exceeds one."""
-    sums = [0.0 for _ in grid.corners]
+    rows: list[list[Array]] = [[] for _ in grid.corners]
     for matrix, (a, b) in zip(jnp.abs(matrices), entries(grid.dim), strict=True):
-        sums[a] += matrix
-        sums[b] += matrix if a != b else 0.0
-    return sum(_to_node(part, corner, grid) for part, corner in zip(sums, grid.corners, strict=True))
+        for corner in {a, b}:
+            rows[corner].append(matrix)
+    return total(_to_node(total(row), corner, grid) for row, corner in zip(rows, grid.corners, strict=True))
 
 
 def coarsen(matrices: Float[Array, "entries *elements"], grid: Grid) -> Float[Array, "entries *coarse"]:
     """The matrices of the elements of the next coarser grid, exactly Pᵀ K P, for bilinear elements are nested."""
-    total = 0.0
+    parts = []
     for child in itertools.product(*[(0, 1) if split else (0,) for split in grid.split]):
         places = [slice(c, None, 1 + split) for c, split in zip(child, grid.split, strict=True)]
         weights = jnp.asarray(_inheritance(grid, child), matrices.dtype)
-        total = total + jnp.tensordot(weights, matrices[(slice(None), *places)], axes=1)
-    return total
+        parts.append(jnp.tensordot(weights, matrices[(slice(None), *places)], axes=1))
+    return total(parts)
 
 
 def _inheritance(grid: Grid, child: tuple[int, ...]) -> Float[np.ndarray, "entries entries"]:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmps._types import total
 from jaxmps.box import Box
 
 _FEW = 64  # nodes of a grid that needs no coarser one: its matrix is inverted as a whole
@@ -84,7 +85,7 @@ def restrict(x: Float[Array, "*nodes"], grid: Grid) -> Float[Array, "*coarse"]:
         places = zip(offset, count, grid.split, strict=True)
         return around[tuple(slice(1 + o, 2 * k + o, 2) if s else slice(None) for o, k, s in places)]
 
-    return sum(weight * part(offset) for offset, weight in _hat(grid))
+    return total(weight * part(offset) for offset, weight in _hat(grid))
 
 
 def prolong(x: Float[Array, "*coarse"], grid: Grid) -> Float[Array, "*nodes"]:
@@ -94,13 +95,13 @@ def prolong(x: Float[Array, "*coarse"], grid: Grid) -> Float[Array, "*nodes"]:
     the CPU's compiler fuses into each of the nine reads of what follows.
     """
     repeated = jnp.pad(x, [(0, int(p and s)) for p, s in zip(grid.periodic, grid.split, strict=True)], mode="wrap")
-    spread = jax.lax.pad(repeated, jnp.zeros((), x.dtype), [(int(s),) * 3 for s in grid.split])
+    spread = jax.lax.pad(repeated, jnp.zeros((), x.dtype), [(int(s), int(s), int(s)) for s in grid.split])
 
     def part(offset):
         places = zip(offset, grid.nodes, grid.split, strict=True)
         return spread[tuple(slice(1 + o, 1 + o + k) if s else slice(None) for o, k, s in places)]
 
-    return sum(weight * part(offset) for offset, weight in _hat(grid))
+    return total(weight * part(offset) for offset, weight in _hat(grid))
 
 
 def _hat(grid: Grid) -> list[tuple[tuple[int, ...], float]]:

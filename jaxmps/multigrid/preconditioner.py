@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._compilation import materialized
+from jaxmps._types import total
 from jaxmps.linear import AbstractPreconditioner
 from jaxmps.multigrid.elements import apply, coarsen, entries, row_sums, shape_functions, stencil
 from jaxmps.multigrid.grid import Grid, closed, folded, prolong, restrict
@@ -57,7 +58,7 @@ class Multigrid(AbstractPreconditioner):
         """P x."""
         values = materialized(closed(x, self.grid).ravel())
         corners = zip(self.shape, _steps(self.grid), strict=True)
-        return sum(weight * values.at[self.node + step].get(mode="promise_in_bounds") for weight, step in corners)
+        return total(weight * values.at[self.node + step].get(mode="promise_in_bounds") for weight, step in corners)
 
 
 def multigrid(
