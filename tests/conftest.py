@@ -32,3 +32,10 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled_programs_are_dropped() -> Iterator[None]:
+    """Those of a file of tests, at its end: each maps memory, of which a process may have only so many pieces."""
+    yield
+    jax.clear_caches()
