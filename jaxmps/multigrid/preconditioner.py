@@ -109,8 +109,23 @@ def _hierarchy(matrices, grid):
     # Scaled to a unit diagonal. A node without particles stands for itself.
     scale = jnp.where(diagonal > 0, 1.0 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scaled = scale[:, None] * whole * scale + jnp.diag(jnp.where(diagonal > 0, _SHIFT, 1.0))
-    inverse = jnp.linalg.inv(scaled)
-    return tuple(levels), scale[:, None] * (0.5 * (inverse + inverse.T)) * scale
+    return tuple(levels), scale[:, None] * _inverse(scaled) * scale
+
+
+def _inverse(matrix: Float[Array, "m m"]) -> Float[Array, "m m"]:
+    """The inverse of a small symmetric positive definite matrix, by sweeps: Gauss-Jordan steps that keep the symmetry.
+
+    Not LAPACK's: on CPUs its threads wait for the next call at full speed, and one core does nothing else in a run.
+    """
+    places = jnp.arange(matrix.shape[0])
+
+    def sweep(k, a):
+        row, pivot, itself = a[k], a[k, k], places == k
+        scaled = jnp.where(itself, -1.0, row) / pivot
+        rest = a - row[:, None] * row / pivot
+        return jnp.where(itself[:, None], scaled, jnp.where(itself, scaled[:, None], rest))
+
+    return -jax.lax.fori_loop(0, matrix.shape[0], sweep, matrix)
 
 
 def _cycle(m: Multigrid, number: int, b: Float[Array, "*nodes"]) -> Float[Array, "*nodes"]:
