@@ -19,7 +19,8 @@ def patch(sense: float) -> jaxmps.Run:
     """400 particles until ωt = 0.6, clockwise or (−1) not; under tension, so that the density is not restored."""
     case = cases.square_patch(spacing=SPACING)
     case = eqx.tree_at(lambda c: c.particles.velocity, case, sense * case.particles.velocity)
-    scheme = schemes.mps_cd_gc_ds(restoring=0.0)
+    # The symmetries hold as far as the pressure is solved, and small differences grow.
+    scheme = schemes.mps_cd_gc_ds(restoring=0.0, tolerance=1e-10)
     return jaxmps.simulate(case, scheme, until=0.6, save_every=0.2, progress=False)
 
 
@@ -81,5 +82,5 @@ def test_mirror_image_runs_alike():
     for k in range(len(there)):
         # The order of the particles is the mirrored one, column by column.
         mirrored = (back.position[k] * [-1.0, 1.0]).reshape(20, 20, 2)[::-1].reshape(400, 2)
-        # Round-off, and the tolerance of 1e-5 of the pressure solve in Δt² ∇p.
+        # Round-off, and the tolerance of the pressure solve in Δt² ∇p.
         np.testing.assert_allclose(mirrored, there.position[k], atol=1e-9)

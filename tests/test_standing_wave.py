@@ -8,11 +8,13 @@ from jaxmps import cases, schemes
 
 
 def crests(time: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Times of the maxima above the mean level after 0.3 s, at least 0.4 s apart, smoothed over 0.04 s."""
+    """Times of the maxima above the mean level after 0.3 s, smoothed over 0.04 s, each the vertex of a parabola."""
     kernel = np.exp(-0.5 * ((time[:, None] - time) / 0.04) ** 2)
     smooth = (kernel @ elevation) / kernel.sum(axis=1)
-    higher = (smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:]) & (smooth[1:-1] > 0.0) & (time[1:-1] > 0.3)
-    found = time[1:-1][higher]
+    before, here, after = smooth[:-2], smooth[1:-1], smooth[2:]
+    k = np.flatnonzero((here >= before) & (here > after) & (here > 0.0) & (time[1:-1] > 0.3))
+    vertex = 0.5 * (before[k] - after[k]) / (before[k] - 2.0 * here[k] + after[k])
+    found = time[k + 1] + vertex * (time[1] - time[0])
     return found[np.diff(found, prepend=-1.0) > 0.4]
 
 
@@ -25,10 +27,18 @@ def center(run: jaxmps.Run) -> np.ndarray:
     return np.array(top) - 1.0 / 3.0
 
 
-def test_crests_come_within_five_percent_of_their_times():
-    # Over three periods here; over five it is 4.2 % at most, in 2750 steps.
-    run = jaxmps.simulate(cases.standing_wave(), schemes.mps_hs_gc_ds(), until=2.7, save_every=0.02, progress=False)
+@pytest.mark.parametrize(
+    ("scheme", "early", "late"),
+    [
+        # It loses a third of the first crest's height, and a lower wave is faster: the linear one has its crest at
+        # 0.8125 s instead of 0.856 s. So the first crest comes 5 to 6.5 % early, and the others 3 to 5 %.
+        pytest.param(schemes.mps_hs_gc_ds(), 0.07, 0.0, id="mps_hs_gc_ds"),
+        pytest.param(schemes.mps_cd_gc_ds(kept_velocity=1.0), 0.05, 0.05, id="mps_cd_gc_ds"),
+    ],
+)
+def test_crests_keep_time(scheme, early, late):
+    run = jaxmps.simulate(cases.standing_wave(), scheme, until=2.7, save_every=0.02, progress=False)
     run.status.check()
     reference = cases.standing_wave_reference()
-    expected = crests(reference[:, 0], reference[:, 1])[:3]
-    assert crests(run.time, center(run)) == pytest.approx(expected, rel=0.05)
+    lag = crests(run.time, center(run)) / crests(reference[:, 0], reference[:, 1])[:3] - 1.0
+    assert np.all((lag > -early) & (lag < late)), lag
