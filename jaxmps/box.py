@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxmps._vectors import components, joined
 from jaxmps.validation import number
 
 
@@ -46,10 +47,11 @@ class Box(eqx.Module):
         """`r_j − r_i` [m] to the nearest image of j along the periodic axes."""
         if not any(self.periodic):
             return r_ij
-        period = jnp.where(jnp.array(self.periodic), jnp.array(self.lengths, r_ij.dtype), jnp.inf)
-        period_or_one = jnp.where(jnp.isfinite(period), period, 1.0)
-        images = jnp.where(jnp.isfinite(period), jnp.round(r_ij / period_or_one), 0.0)
-        return r_ij - images * period_or_one
+        return joined(tuple(self.nearest(axis, x) for axis, x in enumerate(components(r_ij))))
+
+    def nearest(self, axis: int, x: Float[Array, "*pairs"]) -> Float[Array, "*pairs"]:
+        """The component of `r_j − r_i` [m] along an axis to the nearest image of j."""
+        return x - self.lengths[axis] * jnp.round(x / self.lengths[axis]) if self.periodic[axis] else x
 
     def wrap(self, position: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
         """Positions [m] moved back by whole periods along the periodic axes."""

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import Scalar, as_array
+from jaxmps._vectors import dot
 from jaxmps.neighbors import Pairs
 from jaxmps.phases import share_of_displacement
 
@@ -54,15 +55,15 @@ class PairCollision(AbstractCollision):
     restitution: Scalar = eqx.field(converter=as_array, default=0.2)
 
     def __call__(self, velocity, pairs, density, moves, spacing, dt):
-        e_ij = pairs.r_ij / pairs.distance[..., None]
-        u_ij = velocity[pairs.j] - velocity[:, None]
-        approach = jnp.sum(u_ij * e_ij, axis=-1)
+        u_ij = pairs.between(velocity)
+        approach = dot(u_ij, pairs.r_ij) / pairs.distance
         # The smallest distance during the step: a fast pair may pass each other within it.
-        travel = dt * u_ij
-        length = jnp.sum(travel**2, axis=-1)
-        closest = jnp.clip(-jnp.sum(pairs.r_ij * travel, axis=-1) / jnp.where(length > 0, length, 1.0), 0.0, 1.0)
-        squared = jnp.sum((pairs.r_ij + closest[..., None] * travel) ** 2, axis=-1)
+        travel = tuple(dt * u for u in u_ij)
+        length = dot(travel, travel)
+        closest = jnp.clip(-dot(pairs.r_ij, travel) / jnp.where(length > 0, length, 1.0), 0.0, 1.0)
+        passing = tuple(r + closest * s for r, s in zip(pairs.r_ij, travel, strict=True))
+        squared = dot(passing, passing)
         hits = pairs.present & (squared < (self.distance * spacing) ** 2) & (approach < 0)
         mu = share_of_displacement(density, moves, pairs)
         impulse = (1.0 + self.restitution) * jnp.where(hits, mu * approach, 0.0)
-        return jnp.where(moves[:, None], jnp.einsum("nk,nkd->nd", impulse, e_ij), 0.0)
+        return jnp.where(moves[:, None], pairs.along(impulse / pairs.distance), 0.0)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import Scalar, as_array
+from jaxmps._vectors import components, dot
 from jaxmps.neighbors import Pairs
 
 
@@ -87,19 +88,19 @@ class HalfSpacing(AbstractSurfaceCondition):
     """
 
     def coefficient(self, c, surface, pairs):
-        return jnp.where(surface[pairs.j], c * (2.0 / 3.0), c)
+        return jnp.where(pairs.at_j(surface), c * (2.0 / 3.0), c)
 
     def pressure(self, p, surface, inside, pairs, w, spacing):
         inward = toward_neighbors(pairs, w)
         squared = jnp.sum(inward**2, axis=-1, keepdims=True)
         inward = inward / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
-        depth = jnp.maximum(jnp.einsum("nkd,nd->nk", pairs.r_ij, inward), 0.0)
-        weight = jnp.where(surface[:, None] & inside[pairs.j], w, 0.0)
+        depth = jnp.maximum(dot(pairs.r_ij, components(inward[:, None])), 0.0)
+        weight = jnp.where(surface[:, None] & pairs.at_j(inside), w, 0.0)
         total = jnp.sum(weight, axis=-1)
         part = 0.5 * spacing / (0.5 * spacing + depth)
-        return p + jnp.sum(weight * part * p[pairs.j], axis=-1) / jnp.where(total > 0, total, 1.0)
+        return p + jnp.sum(weight * part * pairs.at_j(p), axis=-1) / jnp.where(total > 0, total, 1.0)
 
 
 def toward_neighbors(pairs: Pairs, w: Float[Array, "n k"]) -> Float[Array, "n d"]:
     """Σ_j w_ij r_ij / |r_ij|: points from the surface into the fluid, zero in a symmetric neighborhood."""
-    return jnp.einsum("nk,nkd->nd", w / pairs.distance, pairs.r_ij)
+    return pairs.along(w / pairs.distance)

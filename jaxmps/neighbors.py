@@ -13,10 +13,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxmps._compilation import jit
 from jaxmps._search import ball, search, window_size
+from jaxmps._vectors import Vectors, components, dot, joined, take
 from jaxmps.box import Box
 from jaxmps.kernels import lattice
 from jaxmps.particles import Kind, Particles
@@ -30,16 +31,37 @@ rebuilt once in nearly every step, at the predicted positions; from there the co
 
 
 class Pairs(eqx.Module):
-    """For particle i (row) its neighbors j (slots): `r_ij` = r_j − r_i [m], `distance` [m], and `present`.
+    """For particle i (row) its neighbors j (slots): components of `r_ij` = r_j − r_i [m], `distance` [m], `present`.
 
     A slot that is not present holds i itself and the distance l0, so that no value and no derivative meets a zero.
     Particles that were removed from the flow are nobody's neighbors.
     """
 
     j: Int[Array, "n k"]
-    r_ij: Float[Array, "n k d"]
+    r_ij: Vectors
     distance: Float[Array, "n k"]
     present: Bool[Array, "n k"]
+
+    @property
+    def dim(self) -> int:
+        return len(self.r_ij)
+
+    @property
+    def e_ij(self) -> Vectors:
+        """r_ij / |r_ij|, zero in empty slots."""
+        return tuple(x / self.distance for x in self.r_ij)
+
+    def at_j(self, x: Shaped[Array, " n"]) -> Shaped[Array, "n k"]:
+        """x_j of each pair."""
+        return take(x, self.j)
+
+    def between(self, x: Float[Array, "n d"]) -> Vectors:
+        """x_j − x_i of each pair."""
+        return tuple(self.at_j(c) - c[:, None] for c in components(x))
+
+    def along(self, factor: Float[Array, "n k"]) -> Float[Array, "n d"]:
+        """Σ_j f_ij r_ij."""
+        return joined(tuple(jnp.sum(factor * x, axis=-1) for x in self.r_ij))
 
 
 class Neighbors(eqx.Module):
@@ -124,11 +146,12 @@ def pairs(neighbors: Neighbors, particles: Particles, spacing: float) -> Pairs:
     own = jnp.arange(n, dtype=table.dtype)[:, None]
     listed = table < n
     j = jnp.where(listed, table, own)
-    r_ij = neighbors.box.displacement(position[j] - position[:, None, :])
-    squared = jnp.sum(r_ij**2, axis=-1)
+    apart = (take(x, j) - x[:, None] for x in components(position))
+    r_ij = tuple(neighbors.box.nearest(axis, x) for axis, x in enumerate(apart))
+    squared = dot(r_ij, r_ij)
     active = particles.kind != Kind.REMOVED
-    present = listed & (squared < neighbors.cutoff**2) & active[:, None] & active[j]
-    r_ij = jnp.where(present[..., None], r_ij, 0.0)
+    present = listed & (squared < neighbors.cutoff**2) & active[:, None] & take(active, j)
+    r_ij = tuple(jnp.where(present, x, 0.0) for x in r_ij)
     # Coinciding particles get a tiny distance instead of zero: a large weight, but a finite one.
     floor = (1e-3 * spacing) ** 2
     distance = jnp.sqrt(jnp.where(present, jnp.maximum(squared, floor), spacing**2))

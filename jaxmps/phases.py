@@ -40,7 +40,7 @@ class OwnDensity(AbstractInterface):
 
 def mean_density(density: Float[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:
     """(ρ_i + ρ_j) / 2 of each pair [kg/m³]."""
-    return 0.5 * (density[:, None] + density[pairs.j])
+    return 0.5 * (density[:, None] + pairs.at_j(density))
 
 
 def share_of_displacement(density: Float[Array, " n"], moves: Bool[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:
@@ -48,4 +48,4 @@ def share_of_displacement(density: Float[Array, " n"], moves: Bool[Array, " n"],
 
     Particles have equal volumes, so densities stand for masses.
     """
-    return jnp.where(moves[pairs.j], 0.5 * density[pairs.j] / mean_density(density, pairs), 1.0)
+    return jnp.where(pairs.at_j(moves), 0.5 * pairs.at_j(density) / mean_density(density, pairs), 1.0)

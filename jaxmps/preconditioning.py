@@ -42,7 +42,7 @@ class ByMultigrid(AbstractPreconditioning):
     cell: float = eqx.field(static=True, default=3.0)
 
     def __call__(self, operator, unknown, pairs, position, box, spacing):
-        half, axes = 0.5 * operator.coupling.T, range(position.shape[1])
-        tensor = [[jnp.sum(half * pairs.r_ij[..., a] * pairs.r_ij[..., b], axis=-1) for b in axes] for a in axes]
+        half = 0.5 * operator.coupling.T
+        tensor = [[jnp.sum(half * a * b, axis=-1) for b in pairs.r_ij] for a in pairs.r_ij]
         grid = cover(box, self.cell * spacing)
         return multigrid(box.wrap(position), tensor, operator.sink, operator.diagonal, unknown, grid)

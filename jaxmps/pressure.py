@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar, as_array
+from jaxmps._vectors import take
 from jaxmps.linear import AbstractOperator, AbstractPreconditioner, Convergence, solve
 from jaxmps.neighbors import Pairs
 from jaxmps.phases import mean_density
@@ -105,7 +106,7 @@ class PoissonOperator(AbstractOperator):
     def __matmul__(self, x):
         product = self.diagonal * x
         for j, coupling in zip(self.j, self.coupling, strict=True):
-            product = product - coupling * x[j]
+            product = product - coupling * take(x, j)
         return product
 
     def magnitude(self, x):
@@ -124,8 +125,8 @@ def poisson_operator(
     conductance = coefficient / mean_density(density, pairs)
     rows = jnp.where(unknown[:, None], conductance, 0.0)
     diagonal = jnp.sum(rows, axis=-1)
-    coupling = jnp.where(unknown[pairs.j], rows, 0.0)
-    few = jnp.sum(rows > 0, axis=-1) <= pairs.r_ij.shape[-1] + 1
+    coupling = jnp.where(pairs.at_j(unknown), rows, 0.0)
+    few = jnp.sum(rows > 0, axis=-1) <= pairs.dim + 1
     sink = jnp.sum(rows - coupling, axis=-1)
     tie = jnp.where(few & (sink == 0), _TIE * diagonal, 0.0)
     sink, diagonal = sink + tie, diagonal + tie

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar, as_array
+from jaxmps._vectors import dot
 from jaxmps.neighbors import Pairs
 from jaxmps.phases import share_of_displacement
 
@@ -73,13 +74,12 @@ class DynamicStabilization(AbstractStabilizer):
     weighting: Literal["kernel", "mean", "none"] = eqx.field(static=True, default="kernel")
 
     def __call__(self, acceleration, pairs, w, density, moves, spacing, n0, dt):
-        e_ij = pairs.r_ij / pairs.distance[..., None]
-        overlap = gap(acceleration, pairs, e_ij, self.alpha_ds * spacing, dt)
+        overlap = gap(acceleration, pairs, self.alpha_ds * spacing, dt)
         push = overlap * share_of_displacement(density, moves, pairs)
         push = push * {"kernel": w / n0, "mean": jnp.where(w > 0, 1.0 / n0, 0.0), "none": w > 0}[self.weighting]
-        shift = jnp.where(moves[:, None], -jnp.einsum("nk,nkd->nd", push, e_ij), 0.0)
+        shift = jnp.where(moves[:, None], -pairs.along(push / pairs.distance), 0.0)
         # A pair of two moving particles stands in the table twice.
-        active = jnp.where(moves[:, None], jnp.where(moves[pairs.j], 0.5, 1.0), 0.0)
+        active = jnp.where(moves[:, None], jnp.where(pairs.at_j(moves), 0.5, 1.0), 0.0)
         count = jnp.round(jnp.sum(jnp.where(overlap > 0, active, 0.0))).astype(int)
         return Push(self.kept_velocity * shift / dt, shift, count)
 
@@ -87,14 +87,15 @@ class DynamicStabilization(AbstractStabilizer):
 def gap(
     acceleration: Float[Array, "n d"],
     pairs: Pairs,
-    e_ij: Float[Array, "n k d"],
     distance: Scalar,
     dt: Scalar,
 ) -> Float[Array, "n k"]:
     """√(d² − r_⊥²) − r*·e_ij [m] of each pair that would come closer than d, else zero ([T13] Eqs. 10, 11, 14, 18)."""
-    r_star = pairs.r_ij + dt**2 * (acceleration[pairs.j] - acceleration[:, None])
-    along = jnp.sum(r_star * e_ij, axis=-1)
-    across = jnp.sum((r_star - along[..., None] * e_ij) ** 2, axis=-1)
+    e_ij, a_ij = pairs.e_ij, pairs.between(acceleration)
+    r_star = tuple(r + dt**2 * a for r, a in zip(pairs.r_ij, a_ij, strict=True))
+    along = dot(r_star, e_ij)
+    sideways = tuple(r - along * e for r, e in zip(r_star, e_ij, strict=True))
+    across = dot(sideways, sideways)
     overlaps = pairs.present & (along**2 + across < distance**2)
     # The root has a derivative wherever a pair overlaps; elsewhere it must not see a negative number.
     reach = jnp.sqrt(jnp.where(overlaps, distance**2 - across, 1.0))

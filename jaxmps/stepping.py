@@ -114,7 +114,7 @@ def correct(
 def _between_pressures(prediction: Prediction) -> Float[Array, "n k"]:
     """The weights of pairs of which both particles have a pressure."""
     has_pressure = prediction.particles.has_pressure
-    return jnp.where(has_pressure[:, None] & has_pressure[prediction.near.j], prediction.w, 0.0)
+    return jnp.where(has_pressure[:, None] & prediction.near.at_j(has_pressure), prediction.w, 0.0)
 
 
 def density_and_surface(

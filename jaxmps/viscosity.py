@@ -41,5 +41,5 @@ class Viscous(AbstractViscosity):
     """
 
     def __call__(self, velocity, viscosity, pairs, w, n0, lam):
-        nu = 0.5 * (viscosity[:, None] + viscosity[pairs.j])
+        nu = 0.5 * (viscosity[:, None] + pairs.at_j(viscosity))
         return laplacian(velocity, pairs, nu * w, n0, lam)

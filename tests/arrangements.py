@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
 from jaxmps.neighbors import Pairs
 from jaxmps.operators import pair_weight
@@ -31,7 +32,7 @@ def table(points: np.ndarray, reach: float) -> Pairs:
     distance = np.linalg.norm(r_ij, axis=-1)
     present = distance > 0
     distance = np.where(present, distance, SPACING)
-    return Pairs(*(jnp.array(x) for x in (slots, r_ij, distance, present)))
+    return Pairs(jnp.array(slots), components(jnp.array(r_ij)), jnp.array(distance), jnp.array(present))
 
 
 def block(dim: int, ratio: float = 2.1, size: int | None = None) -> SimpleNamespace:
@@ -67,7 +68,7 @@ def couple(r: np.ndarray) -> Pairs:
     length, zero = float(np.linalg.norm(r)), np.zeros(len(r))
     return Pairs(
         j=jnp.array([[1, 0], [0, 1]]),
-        r_ij=jnp.array([[r, zero], [-r, zero]]),
+        r_ij=components(jnp.array([[r, zero], [-r, zero]])),
         distance=jnp.array([[length, SPACING]] * 2),
         present=jnp.array([[True, False]] * 2),
     )
@@ -82,7 +83,7 @@ def box_cloud(dim: int) -> SimpleNamespace:
     points = np.random.default_rng(dim).uniform(0.0, size * SPACING, (size**dim, dim))
     near, n0 = table(points, 2.1 * SPACING), lattice(2.1, dim).n0
     w = pair_weight(near, 2.1 * SPACING)
-    e_ij = np.asarray(near.r_ij / near.distance[..., None])
+    e_ij = np.asarray(joined(near.e_ij))
     matrix = dim / n0 * np.einsum("nk,nkd,nke->nde", np.asarray(w), e_ij, e_ij)
     well_placed = (np.linalg.det(matrix) > 0.05) & (np.sum(np.asarray(w) > 0, axis=1) > dim)
     return SimpleNamespace(points=points, pairs=near, w=w, n0=n0, well_placed=well_placed)

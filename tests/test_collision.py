@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmps._vectors import components
 from jaxmps.collision import NoCollision, PairCollision
 from jaxmps.neighbors import Pairs
 
@@ -21,7 +22,7 @@ def two(gap: float) -> Pairs:
     zero = np.zeros(2)
     return Pairs(
         j=jnp.array([[1, 0], [0, 1]]),
-        r_ij=jnp.array([[r, zero], [-r, zero]]),
+        r_ij=components(jnp.array([[r, zero], [-r, zero]])),
         distance=jnp.array([[gap * SPACING, SPACING]] * 2),
         present=jnp.array([[True, False]] * 2),
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arrangements import DIMENSIONS, SPACING, block, table
 
+from jaxmps._vectors import components
 from jaxmps.free_surface import AtCenters, DensityThreshold, HalfSpacing, OneSided, toward_neighbors
 from jaxmps.kernels import lattice
 from jaxmps.linear import Jacobi
@@ -106,7 +107,7 @@ def slab(rows: int, columns: int = 5) -> tuple[Pairs, np.ndarray]:
     j = np.where(present, np.add.outer(x, dx) % columns * rows + there, own)
     r_ij = np.where(present[..., None], SPACING * np.array(offsets), 0.0)
     distance = np.where(present, SPACING * np.hypot(dx, dy), SPACING)
-    return Pairs(jnp.array(j), jnp.array(r_ij), jnp.array(distance), jnp.array(present)), row
+    return Pairs(jnp.array(j), components(jnp.array(r_ij)), jnp.array(distance), jnp.array(present)), row
 
 
 @pytest.mark.parametrize("rows", [8, 16])

@@ -11,6 +11,7 @@ import pytest
 
 import jaxmps
 from jaxmps import Box, Kind, cases, schemes
+from jaxmps._vectors import components
 from jaxmps.kernels import lattice
 from jaxmps.linear import Jacobi
 from jaxmps.linear import solve as solve_plainly
@@ -65,7 +66,7 @@ def all_pairs(points) -> Pairs:
     j = np.where(present, j, np.arange(N)[:, None])
     r_ij = points[j] - points[:, None]
     squared = jnp.sum(r_ij**2, axis=-1)
-    return Pairs(jnp.array(j), r_ij, jnp.sqrt(jnp.where(present, squared, SPACING**2)), jnp.array(present))
+    return Pairs(jnp.array(j), components(r_ij), jnp.sqrt(jnp.where(present, squared, SPACING**2)), jnp.array(present))
 
 
 def system(points=None, density=None) -> PoissonOperator:

@@ -9,6 +9,7 @@ from arrangements import CLOUD, DIMENSIONS, SPACING, cloud, couple
 
 import jaxmps
 from jaxmps import cases, schemes
+from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
 from jaxmps.neighbors import Pairs
 from jaxmps.operators import pair_weight
@@ -25,7 +26,7 @@ WEIGHTINGS = pytest.mark.parametrize("weighting", ["kernel", "mean", "none"])
 
 def push(near: Pairs, acceleration=None, density=None, moves=None, model=None):
     """What the stabilizer does to particles of one density, all moving and without acceleration unless told."""
-    n, dim = near.j.shape[0], near.r_ij.shape[-1]
+    n, dim = near.j.shape[0], near.dim
     zero, ones = jnp.zeros((n, dim)), jnp.ones(n)
     return (model or DynamicStabilization(ALPHA))(
         zero if acceleration is None else jnp.asarray(acceleration),
@@ -189,7 +190,7 @@ def all_pairs(points: np.ndarray) -> Pairs:
     j = np.array([[j for j in range(n) if j != i] for i in range(n)])
     r_ij = points[j] - points[:, None]
     distance = np.linalg.norm(r_ij, axis=-1)
-    return Pairs(jnp.array(j), jnp.array(r_ij), jnp.array(distance), jnp.ones(j.shape, bool))
+    return Pairs(jnp.array(j), components(jnp.array(r_ij)), jnp.array(distance), jnp.ones(j.shape, bool))
 
 
 def test_number_of_pairs_kept_apart_counts_each_pair_once_and_none_of_two_fixed_particles():
@@ -222,14 +223,13 @@ def test_derivatives_are_finite_with_empty_slots_and_without_overlaps(dim):
 
     def total(r_ij, acceleration, alpha, dt):
         distance = jnp.sqrt(jnp.where(near.present, jnp.sum(r_ij**2, axis=-1), SPACING**2))
-        moved = Pairs(near.j, r_ij, distance, near.present)
-        e_ij = r_ij / distance[..., None]
+        moved = Pairs(near.j, components(r_ij), distance, near.present)
         weights = jnp.arange(1.0, 5.0).reshape(2, 2)
         shift = push(moved, acceleration, model=DynamicStabilization(alpha)).displacement
-        return jnp.sum(weights * gap(acceleration, moved, e_ij, alpha * SPACING, dt)) + jnp.sum(shift[0])
+        return jnp.sum(weights * gap(acceleration, moved, alpha * SPACING, dt)) + jnp.sum(shift[0])
 
     for alpha, some in ((0.9, False), (1.0, True)):
-        arguments = near.r_ij, jnp.zeros((2, dim)), jnp.array(alpha), jnp.array(DT)
+        arguments = joined(near.r_ij), jnp.zeros((2, dim)), jnp.array(alpha), jnp.array(DT)
         found = jax.grad(total, argnums=(0, 1, 2, 3))(*arguments)
         assert all(np.all(np.isfinite(x)) for x in found)
         assert bool(jnp.any(found[0] != 0.0)) == some

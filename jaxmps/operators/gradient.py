@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxmps._types import total
 from jaxmps.neighbors import Pairs
 
 
@@ -33,7 +34,7 @@ class MinPressure(AbstractGradient):
     """
 
     def __call__(self, pressure, pair_density, pairs, w, n0):
-        difference = pressure[pairs.j] - minimum(pressure, pairs, w > 0)[:, None]
+        difference = pairs.at_j(pressure) - minimum(pressure, pairs, w > 0)[:, None]
         return weighted_gradient(difference / pair_density, pairs, w, n0)
 
 
@@ -49,7 +50,7 @@ class CMPS(AbstractGradient):
 
     def __call__(self, pressure, pair_density, pairs, w, n0):
         excess = pressure - minimum(pressure, pairs, w > 0)
-        return weighted_gradient((excess[:, None] + excess[pairs.j]) / pair_density, pairs, w, n0)
+        return weighted_gradient((excess[:, None] + pairs.at_j(excess)) / pair_density, pairs, w, n0)
 
 
 class Corrected(AbstractGradient):
@@ -63,7 +64,7 @@ class Corrected(AbstractGradient):
     smallest: float = eqx.field(static=True, default=0.05)
 
     def __call__(self, pressure, pair_density, pairs, w, n0):
-        plain = weighted_gradient((pressure[pairs.j] - pressure[:, None]) / pair_density, pairs, w, n0)
+        plain = weighted_gradient((pairs.at_j(pressure) - pressure[:, None]) / pair_density, pairs, w, n0)
         return solve_small(moments(pairs, w, n0, self.smallest), plain)
 
 
@@ -74,21 +75,17 @@ def divergence(
 
     Exact for linear fields in any arrangement of neighbors.
     """
-    dim = pairs.r_ij.shape[-1]
-    u_ij = velocity[pairs.j] - velocity[:, None]
-    plain = (dim / n0) * jnp.einsum("nk,nkd,nke->nde", w / pairs.distance**2, pairs.r_ij, u_ij)
     matrix = moments(pairs, w, n0, smallest)
-    columns = [solve_small(matrix, plain[..., axis])[:, axis] for axis in range(dim)]
-    return jnp.sum(jnp.stack(columns), axis=0)
+    slopes = (weighted_gradient(difference, pairs, w, n0) for difference in pairs.between(velocity))
+    return total(solve_small(matrix, slope)[:, axis] for axis, slope in enumerate(slopes))
 
 
 def moments(pairs: Pairs, w: Float[Array, "n k"], n0: float, smallest: float) -> Float[Array, "n d d"]:
     """(D / n0) Σ_j w_ij r_ij ⊗ r_ij / r_ij², the unit matrix on a full lattice, and also where it is ill-conditioned:
     its determinant is not above `smallest`, or there are no more than `dim` neighbors.
     """
-    dim = pairs.r_ij.shape[-1]
-    e_ij = pairs.r_ij / pairs.distance[..., None]
-    matrix = (dim / n0) * jnp.einsum("nk,nkd,nke->nde", w, e_ij, e_ij)
+    dim = pairs.dim
+    matrix = jnp.stack([weighted_gradient(x, pairs, w, n0) for x in pairs.r_ij], axis=-1)
     well = (jnp.linalg.det(matrix) > smallest) & (jnp.sum(w > 0, axis=-1) > dim)
     return jnp.where(well[:, None, None], matrix, jnp.eye(dim, dtype=w.dtype))
 
@@ -107,7 +104,7 @@ def solve_small(matrix: Float[Array, "n d d"], b: Float[Array, "n d"]) -> Float[
 
 def minimum(pressure: Float[Array, " n"], pairs: Pairs, counts: Bool[Array, "n k"]) -> Float[Array, " n"]:
     """p̂_i [Pa], the smallest pressure among i and those of its neighbors that count ([T13] Eq. 2)."""
-    smallest = jnp.min(jnp.where(counts, pressure[pairs.j], jnp.inf), axis=-1)
+    smallest = jnp.min(jnp.where(counts, pairs.at_j(pressure), jnp.inf), axis=-1)
     return jnp.minimum(pressure, smallest)
 
 
@@ -115,6 +112,4 @@ def weighted_gradient(
     difference: Float[Array, "n k"], pairs: Pairs, w: Float[Array, "n k"], n0: float
 ) -> Float[Array, "n d"]:
     """(D / n0) Σ_j Δ_ij r_ij w_ij / r_ij² of a difference Δ_ij that belongs to each pair."""
-    dim = pairs.r_ij.shape[-1]
-    factor = difference * w / pairs.distance**2
-    return (dim / n0) * jnp.einsum("nk,nkd->nd", factor, pairs.r_ij)
+    return (pairs.dim / n0) * pairs.along(difference * w / pairs.distance**2)

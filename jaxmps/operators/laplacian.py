@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
 from jaxmps.neighbors import Pairs
 
@@ -22,8 +23,8 @@ class KernelLaplacian(AbstractLaplacian):
     """c_ij = (2 D / (λ n0)) w_ij ([N11] Eq. 7; Koshizuka & Oka 1996). Exact for a paraboloid on a full lattice."""
 
     def __call__(self, pairs, w, ratio, spacing):
-        n0, lam = lattice(ratio, pairs.r_ij.shape[-1])[:2]
-        return kernel_coefficient(w, n0, lam * spacing**2, pairs.r_ij.shape[-1])
+        n0, lam = lattice(ratio, pairs.dim)[:2]
+        return kernel_coefficient(w, n0, lam * spacing**2, pairs.dim)
 
 
 class HigherOrderLaplacian(AbstractLaplacian):
@@ -36,7 +37,7 @@ class HigherOrderLaplacian(AbstractLaplacian):
     consistent: bool = eqx.field(static=True, default=True)
 
     def __call__(self, pairs, w, ratio, spacing):
-        dim = pairs.r_ij.shape[-1]
+        dim = pairs.dim
         n0, k = lattice(ratio, dim).n0, lattice(ratio, dim).k
         factor = (2.0 / k if self.consistent else 5.0 - dim) / n0
         return jnp.where(w > 0, factor * ratio * spacing / pairs.distance**3, 0.0)
@@ -58,6 +59,9 @@ def laplacian(
 
     Exact for a paraboloid on a full lattice. Pairs that shall not count get the weight zero.
     """
-    difference = phi[pairs.j] - phi[:, None]
-    c = kernel_coefficient(w, n0, lam, pairs.r_ij.shape[-1])
-    return jnp.sum(difference * c.reshape(c.shape + (1,) * (phi.ndim - 1)), axis=1)
+    c = kernel_coefficient(w, n0, lam, pairs.dim)
+
+    def of(x: Float[Array, " n"]) -> Float[Array, " n"]:
+        return jnp.sum(c * (pairs.at_j(x) - x[:, None]), axis=-1)
+
+    return of(phi) if phi.ndim == 1 else joined(tuple(of(x) for x in components(phi)))
