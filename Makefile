@@ -48,8 +48,9 @@ format: .venv/.installed-test
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+# Large pages: without them, touching fresh memory takes a third of the time of a call with 500 000 particles.
 bench: .venv/.installed
-	$(BIN)/python -m benchmarks
+	GLIBC_TUNABLES=glibc.malloc.hugetlb=1 $(BIN)/python -m benchmarks
 
 clean:
 	rm -rf .venv build dist out demo .pytest_cache .ruff_cache .import_linter_cache

@@ -18,11 +18,12 @@ _FLOATS, _PASSES = 2**26, 20
 
 
 def describe() -> dict[str, Any]:
-    """Processor, memory, software and the bandwidth of a copy [GB/s]."""
+    """Processor, memory and whether glibc asks for large pages, software and the bandwidth of a copy [GB/s]."""
     return {
         "processor": _processor(),
         "cores": _cores(),
         "memory_gb": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1),
+        "large_pages": "glibc.malloc.hugetlb=1" in os.environ.get("GLIBC_TUNABLES", ""),
         "os": platform.platform(),
         "python": platform.python_version(),
         "jax": jax.__version__,

@@ -6,11 +6,13 @@ exists; as an XLA flag it would abort the releases that do not know it.
 """
 
 import functools
+import platform
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import platformdirs
 from jax import Array, lax
 from jax.core import Tracer
 from jax.custom_batching import custom_vmap
@@ -66,3 +68,14 @@ def materialized(x: Array) -> Array:
 @materialized.def_vmap
 def _materialized_batch(axis_size, in_batched, x):
     return materialized(x), in_batched[0]
+
+
+def keep_compiled() -> None:
+    """What is compiled from now on is kept on disk for later processes, unless the user's settings say where.
+
+    One folder for each machine: code for one processor does not run on every other that shares a home directory. What
+    is kept must not call LAPACK: in a process that has not used it before, such a program crashes (jax issue 28908).
+    """
+    if jax.config.jax_compilation_cache_dir is None:  # type: ignore[attr-defined]
+        folder = platformdirs.user_cache_path("jaxmps") / (platform.node() or "machine")
+        jax.config.update("jax_compilation_cache_dir", str(folder))

@@ -1,5 +1,6 @@
 """The command `jaxmps`; commands import JAX themselves, so that help comes at once."""
 
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -89,12 +90,16 @@ def run(
         refuse(path, force)
     if precision not in ("single", "double"):
         raise ValueError(f"precision must be single or double, got {precision}")
+    # Loading a program from the cache makes XLA print pages about two processor flags that are none.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     jax.config.update("jax_enable_x64", precision == "double")
     from jaxmps import simulation, status
     from jaxmps._cli_values import build, check_times
+    from jaxmps._compilation import keep_compiled
 
+    keep_compiled()
     times = check_times(until, save_every, dt)
     made, method = build(case, scheme, spacing, settings or [], jitter, seed)
     prepare(folder, [paths["summary.json"], paths["final.png"]])

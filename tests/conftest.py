@@ -3,11 +3,19 @@
 A test for both precisions says `@pytest.mark.parametrize("precision", ["single", "double"], indirect=True)`.
 """
 
+import atexit
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # else each program from the cache comes with pages of warnings
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # What one worker or command has compiled, the others need not.
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="jaxmps-tests-")
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
 import jaxtyping

@@ -4,6 +4,8 @@ import contextlib
 import dataclasses
 import io
 import json
+import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -13,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import numpy as np
 import pytest
 
 from jaxmps._cli_output import conclude
@@ -306,3 +309,20 @@ def test_help_does_not_wait_for_jax():
     code = "import sys, jaxmps.cli; jaxmps.cli.main(['--help']); sys.exit('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60)
     assert done.returncode == 0, done.stderr.decode()
+
+
+def test_what_a_run_compiles_is_kept_for_the_next(tmp_path):
+    # Unless the user says where, in the cache folder of the user, by machine.
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path)}
+    del environment["JAX_COMPILATION_CACHE_DIR"]
+    code, kept = "import sys; from jaxmps.cli import main; sys.exit(main(sys.argv[1:]))", []
+    for number in range(2):
+        command = [sys.executable, "-c", code, *TINY, "--until", "0.01", "--out", str(tmp_path / str(number))]
+        result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stderr
+        assert "AOT" not in result.stderr
+        kept.append({path.name for path in tmp_path.rglob("*-cache") if platform.node() in path.parts})
+    assert any("advance" in name for name in kept[0])
+    assert kept[1] == kept[0]
+    first, second = (read(tmp_path / number / "run.vtkhdf") for number in "01")
+    np.testing.assert_array_equal(first.position, second.position)

@@ -86,9 +86,9 @@ def multigrid(
         sum(f * g for f, g in zip(flux[a], gradient[b], strict=True)) + sink * shape[a] * shape[b]
         for a, b in entries(grid.dim)
     ]
-    energy = jnp.where(unknown[:, None], jnp.stack(energy, axis=-1), 0.0)
-    matrices = jnp.zeros((math.prod(grid.closed), energy.shape[1]), dtype)
-    matrices = matrices.at[node].add(energy, mode="promise_in_bounds").T.reshape(-1, *grid.closed)
+    energy = jnp.where(unknown, jnp.stack(energy), 0.0)
+    matrices = jnp.zeros((len(energy), math.prod(grid.closed)), dtype)
+    matrices = matrices.at[:, node].add(energy, mode="promise_in_bounds").reshape(-1, *grid.closed)
     matrices = matrices[(slice(None), *(slice(0, m) for m in grid.elements))]
     levels, coarsest = _hierarchy(matrices, grid)
     shape = jnp.where(unknown, jnp.stack(shape), 0.0)
