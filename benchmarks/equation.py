@@ -42,6 +42,12 @@ def solve(
     return solve_pressure(equation, tolerance, most_iterations)
 
 
+def products(operator: PoissonOperator, x: Float[Array, " n"], number: int) -> Float[Array, " n"]:
+    """x after so many products with the matrix, scaled so that it neither grows nor dies out."""
+    scale = 0.6 / jnp.max(operator.diagonal)
+    return jax.lax.fori_loop(0, number, lambda _, x: scale * (operator @ x), x)
+
+
 class Tally:
     """How often the matrix was applied, by its size. The finest one is what is counted."""
 

@@ -3,7 +3,8 @@
 `ms_per_step` is that of a compiled rollout from some tens of steps into the collapse. The list is a forced rebuild
 times the rebuilds that were counted in these steps, and for the remaining updates the look whether one is due. The
 pressure equation (PPE) is matrix, preconditioner and solution, measured by itself at the first of these steps and after
-the last. The operators are all that remains.
+the last. The operators are all that remains. Of the products with the matrix, whose number is counted, one takes
+`of ms` and moves its bytes (`benchmarks/traffic.py`) at a part `at copy` of the machine's bandwidth.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,12 +20,13 @@ import jaxmps as mps
 from benchmarks import equation
 from benchmarks.states import Flow
 from benchmarks.timing import compiled
-from benchmarks.traffic import bytes_per_step
+from benchmarks.traffic import bytes_per_product, bytes_per_step
 from jaxmps.neighbors import Neighbors, update
 from jaxmps.status import FATAL, Status
-from jaxmps.stepping import largest_step, step
+from jaxmps.stepping import largest_step, pressure_equation, step
 
 _UPDATES = 4  # of the list in one timed call
+_PRODUCTS = 10  # with the matrix in one timed call
 _TROUBLE = int(FATAL | Status.TABLE_FULL)
 
 
@@ -64,6 +66,7 @@ def row(run: StepRun, seconds: Sequence[float], bandwidth: float) -> dict[str, A
         "time_s": float(state.time),
         "ms_per_step": 1e3 * total,
         **_shares(total, seconds[1:], run.rebuilds),
+        **_product(seconds[1:], bytes_per_product(state, particles), bandwidth),
         "operator_applications": run.products,
         "missed_tolerance": run.missed,
         "rebuilds_per_step": run.rebuilds,
@@ -79,11 +82,18 @@ def row(run: StepRun, seconds: Sequence[float], bandwidth: float) -> dict[str, A
 def _shares(total: float, parts: Sequence[float], rebuilds: float) -> dict[str, float]:
     if not parts:
         return {}
-    first, final, renew, keep = parts
+    first, final, renew, keep, _ = parts
     rebuild, look = renew / _UPDATES, keep / _UPDATES
     ppe, neighbors = 0.5 * (first + final), rebuilds * rebuild + max(0.0, 2.0 - rebuilds) * look
     shares = {"ppe": ppe, "list": neighbors, "operators": total - ppe - neighbors, "rebuild": rebuild, "look": look}
     return {f"{part}_ms": 1e3 * spent for part, spent in shares.items()}
+
+
+def _product(parts: Sequence[float], moved: float, bandwidth: float) -> dict[str, float]:
+    if not parts:
+        return {}
+    seconds = parts[-1] / _PRODUCTS
+    return {"product_ms": 1e3 * seconds, "product_bandwidth_fraction": moved / 1e9 / seconds / bandwidth}
 
 
 def _count(flow: Flow, steps: int) -> tuple[mps.State, float, float, int]:
@@ -115,7 +125,9 @@ def _differ(a: Neighbors, b: Neighbors) -> Array:
 
 
 def _parts(flow: Flow, last: mps.State) -> list[Callable[[], Any]]:
-    """The pressure equation of the first step and of the one after the last, and updates with and without a rebuild."""
+    """The pressure equation of the first step and of the one after the last, updates with and without a rebuild, and
+    products with the matrix.
+    """
     _, case, scheme, state = flow
     predict = compiled(equation.prediction, case, scheme, state, hasty=True)
     first, final = predict(case, scheme, state), predict(case, scheme, last)
@@ -127,11 +139,16 @@ def _parts(flow: Flow, last: mps.State) -> list[Callable[[], Any]]:
     there = here.at[jnp.argmax(state.particles.fluid), -1].add(2.0 * state.neighbors.skin)
     renew = compiled(_updates, state.neighbors, there, here)
     fresh = renew(state.neighbors, there, here)
+
+    matrix = compiled(pressure_equation, case, scheme, first, hasty=True)(case, scheme, first).operator
+    vector = matrix.diagonal + jnp.linspace(0.0, 1.0, len(here), dtype=here.dtype) * matrix.diagonal
+    multiply = compiled(partial(equation.products, number=_PRODUCTS), matrix, vector)
     return [
         lambda: solve(case, scheme, first),
         lambda: solve(case, scheme, final),
         lambda: renew(fresh, there, here),
         lambda: renew(fresh, here, here),
+        lambda: multiply(matrix, vector),
     ]
 
 

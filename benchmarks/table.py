@@ -22,6 +22,8 @@ STEP = {
     "ppe_ms": Column("PPE", "{:.2f}", 9),
     "rebuilds_per_step": Column("rebuilds", "{:.2f}", 8),
     "operator_applications": Column("products", "{:.1f}", 8),
+    "product_ms": Column("of ms", "{:.2f}", 6),
+    "product_bandwidth_fraction": Column("at copy", "{:.0%}", 7),
     "particle_steps_per_second": Column("part.-steps/s", "{:.3g}", 13),
     "gb_per_s": Column("GB/s", "{:.1f}", 6),
     "bandwidth_fraction": Column("of copy", "{:.0%}", 7),

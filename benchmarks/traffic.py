@@ -27,6 +27,12 @@ from benchmarks.equation import prediction
 from jaxmps.stepping import pressure_equation
 
 
+def bytes_per_product(state: mps.State, particles: int) -> float:
+    """The bytes of one product with the matrix: j, coupling, diagonal and x read, the result written."""
+    s, i = state.particles.position.dtype.itemsize, state.neighbors.table.idx.dtype.itemsize
+    return particles * (state.neighbors.capacity * (i + s) + 3 * s)
+
+
 def bytes_per_step(case: mps.Case, scheme: mps.Scheme, state: mps.State, products: float, rebuilds: float) -> float:
     """The bytes that a step reads and writes with so many products with the matrix and rebuilds of the list."""
     near = jax.eval_shape(prediction, case, scheme, state).near
