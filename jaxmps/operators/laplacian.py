@@ -59,9 +59,6 @@ def laplacian(
 
     Exact for a paraboloid on a full lattice. Pairs that shall not count get the weight zero.
     """
-    c = kernel_coefficient(w, n0, lam, pairs.dim)
-
-    def of(x: Float[Array, " n"]) -> Float[Array, " n"]:
-        return jnp.sum(c * (pairs.at_j(x) - x[:, None]), axis=-1)
-
-    return of(phi) if phi.ndim == 1 else joined(tuple(of(x) for x in components(phi)))
+    if phi.ndim > 1:
+        return joined(tuple(laplacian(x, pairs, w, n0, lam) for x in components(phi)))
+    return jnp.sum(kernel_coefficient(w, n0, lam, pairs.dim) * (pairs.at_j(phi) - phi[:, None]), axis=-1)
