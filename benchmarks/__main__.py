@@ -37,8 +37,8 @@ SIZES = {
     "2k": Size(mps.cases.dam_break, 0.02, 20, 4, 5),
     "8k": Size(mps.cases.dam_break, 0.009, 20, 4, 5),
     "32k": Size(mps.cases.dam_break, 0.0042, 10, 5, 5),
-    "128k": Size(mps.cases.dam_break, 0.00205, 5, 6, 3),
-    "512k": Size(mps.cases.dam_break, 0.00101, 2, 10, 3),
+    "128k": Size(mps.cases.dam_break, 0.00205, 6, 5, 3),
+    "512k": Size(mps.cases.dam_break, 0.00101, 4, 5, 3),
     "30k-3d": Size(mps.cases.dam_break_3d, 0.0174, 10, 4, 3),
     "240k-3d": Size(mps.cases.dam_break_3d, 0.0073, 4, 5, 3),
 }

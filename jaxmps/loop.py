@@ -22,6 +22,7 @@ from jaxmps.stepping import State, largest_step, step
 
 _COLLAPSE = 1e-3  # of the largest time step so far: speeds a thousand times as high are not a flow any more
 _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the progress bar
+_FEWEST = 4  # steps in a call: its temporaries, a gigabyte for 500 000 particles, are fresh memory in each call
 
 
 class _Clock(NamedTuple):
@@ -80,7 +81,7 @@ class Loop:
             if int(status) & Status.TABLE_FULL and not self._enlarge():
                 return
             seconds = clock.perf_counter() - began
-            self._chunk = int(np.clip(self._chunk * _CHUNK_SECONDS / seconds, 1, min(2 * self._chunk, 4096)))
+            self._chunk = int(np.clip(self._chunk * _CHUNK_SECONDS / seconds, _FEWEST, min(2 * self._chunk, 4096)))
         time = jnp.asarray(target, self.state.time.dtype)
         self.state = eqx.tree_at(lambda s: s.time, self.state, time)
 
