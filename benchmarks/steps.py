@@ -65,8 +65,7 @@ def row(run: StepRun, seconds: Sequence[float], bandwidth: float) -> dict[str, A
         "steps": run.steps,
         "time_s": float(state.time),
         "ms_per_step": 1e3 * total,
-        **_shares(total, seconds[1:], run.rebuilds),
-        **_product(seconds[1:], bytes_per_product(state, particles), bandwidth),
+        **(_shares(total, seconds[1:], run.rebuilds) | _product(seconds[-1], state, bandwidth) if seconds[1:] else {}),
         "operator_applications": run.products,
         "missed_tolerance": run.missed,
         "rebuilds_per_step": run.rebuilds,
@@ -80,8 +79,6 @@ def row(run: StepRun, seconds: Sequence[float], bandwidth: float) -> dict[str, A
 
 
 def _shares(total: float, parts: Sequence[float], rebuilds: float) -> dict[str, float]:
-    if not parts:
-        return {}
     first, final, renew, keep, _ = parts
     rebuild, look = renew / _UPDATES, keep / _UPDATES
     ppe, neighbors = 0.5 * (first + final), rebuilds * rebuild + max(0.0, 2.0 - rebuilds) * look
@@ -89,11 +86,9 @@ def _shares(total: float, parts: Sequence[float], rebuilds: float) -> dict[str, 
     return {f"{part}_ms": 1e3 * spent for part, spent in shares.items()}
 
 
-def _product(parts: Sequence[float], moved: float, bandwidth: float) -> dict[str, float]:
-    if not parts:
-        return {}
-    seconds = parts[-1] / _PRODUCTS
-    return {"product_ms": 1e3 * seconds, "product_bandwidth_fraction": moved / 1e9 / seconds / bandwidth}
+def _product(spent: float, state: mps.State, bandwidth: float) -> dict[str, float]:
+    seconds, moved = spent / _PRODUCTS, bytes_per_product(state) / 1e9
+    return {"product_ms": 1e3 * seconds, "product_bandwidth_fraction": moved / seconds / bandwidth}
 
 
 def _count(flow: Flow, steps: int) -> tuple[mps.State, float, float, int]:
@@ -141,7 +136,7 @@ def _parts(flow: Flow, last: mps.State) -> list[Callable[[], Any]]:
     fresh = renew(state.neighbors, there, here)
 
     matrix = compiled(pressure_equation, case, scheme, first, hasty=True)(case, scheme, first).operator
-    vector = matrix.diagonal + jnp.linspace(0.0, 1.0, len(here), dtype=here.dtype) * matrix.diagonal
+    vector = matrix.diagonal * jnp.linspace(1.0, 2.0, len(here), dtype=here.dtype)
     multiply = compiled(partial(equation.products, number=_PRODUCTS), matrix, vector)
     return [
         lambda: solve(case, scheme, first),

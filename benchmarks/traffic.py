@@ -27,10 +27,11 @@ from benchmarks.equation import prediction
 from jaxmps.stepping import pressure_equation
 
 
-def bytes_per_product(state: mps.State, particles: int) -> float:
+def bytes_per_product(state: mps.State) -> float:
     """The bytes of one product with the matrix: j, coupling, diagonal and x read, the result written."""
-    s, i = state.particles.position.dtype.itemsize, state.neighbors.table.idx.dtype.itemsize
-    return particles * (state.neighbors.capacity * (i + s) + 3 * s)
+    pressure, idx = state.particles.pressure, state.neighbors.table.idx
+    s, i = pressure.dtype.itemsize, idx.dtype.itemsize
+    return pressure.size * (state.neighbors.capacity * (i + s) + 3 * s)
 
 
 def bytes_per_step(case: mps.Case, scheme: mps.Scheme, state: mps.State, products: float, rebuilds: float) -> float:
@@ -45,5 +46,5 @@ def bytes_per_step(case: mps.Case, scheme: mps.Scheme, state: mps.State, product
     pairs = i + dim * s + s + 1
     explicit = 2 * (i + pairs) + pairs + (2 * s + 1)
     implicit = 2 * (i + s) + (s + dim * s) + (2 * i + 3 * s + dim * s) + (s + 1)
-    product = n * (slots * (i + s) + 16 * s) + 2 * own
+    product = bytes_per_product(state) + 13 * n * s + 2 * own
     return rebuilds * rebuild + n * (slots * (explicit + implicit) + 12 * (dim + 1) * s) + own + products * product

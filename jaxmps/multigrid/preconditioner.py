@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._compilation import materialized
 from jaxmps._types import total
+from jaxmps._vectors import take
 from jaxmps.linear import AbstractPreconditioner
 from jaxmps.multigrid.elements import apply, coarsen, entries, row_sums, shape_functions, stencil
 from jaxmps.multigrid.grid import Grid, closed, folded, prolong, restrict
@@ -58,7 +59,7 @@ class Multigrid(AbstractPreconditioner):
         """P x."""
         values = materialized(closed(x, self.grid).ravel())
         corners = zip(self.shape, _steps(self.grid), strict=True)
-        return total(weight * values.at[self.node + step].get(mode="promise_in_bounds") for weight, step in corners)
+        return total(weight * take(values, self.node + step) for weight, step in corners)
 
 
 def multigrid(
