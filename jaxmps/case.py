@@ -55,6 +55,11 @@ class Case(eqx.Module):
         """Density of each particle [kg/m³]."""
         return self.fluids.density[self.particles.phase]
 
+    @property
+    def distinct_density(self) -> Float[Array, " #n"]:
+        """`density`, or its only value where there is one fluid: nothing has to be read for each pair then."""
+        return self.fluids.density if len(self.fluids.density) == 1 else self.density
+
 
 def _check_values(case: Case) -> None:
     particles = case.particles

@@ -20,7 +20,7 @@ class AbstractCollision(eqx.Module):
         self,
         velocity: Float[Array, "n d"],
         pairs: Pairs,
-        density: Float[Array, " n"],
+        density: Float[Array, " #n"],
         moves: Bool[Array, " n"],
         spacing: float,
         dt: Scalar,
@@ -56,7 +56,7 @@ class PairCollision(AbstractCollision):
 
     def __call__(self, velocity, pairs, density, moves, spacing, dt):
         u_ij = pairs.between(velocity)
-        approach = dot(u_ij, pairs.r_ij) / pairs.distance
+        approach = dot(u_ij, pairs.r_ij)
         # The smallest distance during the step: a fast pair may pass each other within it.
         travel = tuple(dt * u for u in u_ij)
         length = dot(travel, travel)
@@ -66,4 +66,4 @@ class PairCollision(AbstractCollision):
         hits = pairs.present & (squared < (self.distance * spacing) ** 2) & (approach < 0)
         mu = share_of_displacement(density, moves, pairs)
         impulse = (1.0 + self.restitution) * jnp.where(hits, mu * approach, 0.0)
-        return jnp.where(moves[:, None], pairs.along(impulse / pairs.distance), 0.0)
+        return jnp.where(moves[:, None], pairs.along(impulse / pairs.distance**2), 0.0)

@@ -103,4 +103,4 @@ class HalfSpacing(AbstractSurfaceCondition):
 
 def toward_neighbors(pairs: Pairs, w: Float[Array, "n k"]) -> Float[Array, "n d"]:
     """Σ_j w_ij r_ij / |r_ij|: points from the surface into the fluid, zero in a symmetric neighborhood."""
-    return pairs.along(w / pairs.distance)
+    return pairs.along(w * pairs.inverse)

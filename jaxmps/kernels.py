@@ -14,7 +14,7 @@ def weight(distance: Float[Array, "*pairs"], radius: float) -> Float[Array, "*pa
 
     `distance` [m] must not be zero; `radius` is r_e [m].
     """
-    return jnp.where(distance < radius, radius / distance - 1.0, 0.0)
+    return jnp.where(distance < radius, radius * (1.0 / distance) - 1.0, 0.0)
 
 
 class Lattice(NamedTuple):

@@ -47,9 +47,14 @@ class Pairs(eqx.Module):
         return len(self.r_ij)
 
     @property
+    def inverse(self) -> Float[Array, "n k"]:
+        """1 / |r_ij| [1/m]. Divisions take the longest of all that is done with a pair: operators share this one."""
+        return 1.0 / self.distance
+
+    @property
     def e_ij(self) -> Vectors:
         """r_ij / |r_ij|, zero in empty slots."""
-        return tuple(x / self.distance for x in self.r_ij)
+        return tuple(x * self.inverse for x in self.r_ij)
 
     def at_j(self, x: Shaped[Array, " n"]) -> Shaped[Array, "n k"]:
         """x_j of each pair."""
@@ -60,7 +65,10 @@ class Pairs(eqx.Module):
         return tuple(self.at_j(c) - c[:, None] for c in components(x))
 
     def along(self, factor: Float[Array, "n k"]) -> Float[Array, "n d"]:
-        """Σ_j f_ij r_ij."""
+        """Σ_j f_ij r_ij.
+
+        CPUs compute a factor once if it ends with a division. One of products alone they compute anew for each axis.
+        """
         return joined(tuple(jnp.sum(factor * x, axis=-1) for x in self.r_ij))
 
 

@@ -13,8 +13,11 @@ class AbstractInterface(eqx.Module):
     """The density by which the pressure force of a pair is divided."""
 
     @abc.abstractmethod
-    def __call__(self, density: Float[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:
-        """ρ_ij [kg/m³], of which 1 / ρ_ij multiplies the pressure difference p_j − p_i in the acceleration of i."""
+    def __call__(self, density: Float[Array, " #n"], pairs: Pairs) -> Float[Array, "#n #k"]:
+        """ρ_ij [kg/m³], of which 1 / ρ_ij multiplies the pressure difference p_j − p_i in the acceleration of i.
+
+        Like all densities here, of one entry where all particles have the same.
+        """
 
 
 class PairedDensity(AbstractInterface):
@@ -35,17 +38,21 @@ class OwnDensity(AbstractInterface):
     """
 
     def __call__(self, density, pairs):
-        return jnp.broadcast_to(density[:, None], pairs.j.shape)
+        return density[:, None]
 
 
-def mean_density(density: Float[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:
+def mean_density(density: Float[Array, " #n"], pairs: Pairs) -> Float[Array, "#n #k"]:
     """(ρ_i + ρ_j) / 2 of each pair [kg/m³]."""
-    return 0.5 * (density[:, None] + pairs.at_j(density))
+    return 0.5 * (density[:, None] + _at_j(density, pairs))
 
 
-def share_of_displacement(density: Float[Array, " n"], moves: Bool[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:
+def share_of_displacement(density: Float[Array, " #n"], moves: Bool[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:
     """The part ρ_j / (ρ_i + ρ_j) of a pair's displacement that i takes, by Newton's third law; 1 if j is fixed.
 
     Particles have equal volumes, so densities stand for masses.
     """
-    return jnp.where(pairs.at_j(moves), 0.5 * pairs.at_j(density) / mean_density(density, pairs), 1.0)
+    return jnp.where(pairs.at_j(moves), 0.5 * _at_j(density, pairs) / mean_density(density, pairs), 1.0)
+
+
+def _at_j(density: Float[Array, " #n"], pairs: Pairs) -> Float[Array, "#n #k"]:
+    return density[:, None] if len(density) == 1 else pairs.at_j(density)

@@ -114,7 +114,7 @@ class PoissonOperator(AbstractOperator):
 
 
 def poisson_operator(
-    pairs: Pairs, coefficient: Float[Array, "n k"], density: Float[Array, " n"], unknown: Bool[Array, " n"]
+    pairs: Pairs, coefficient: Float[Array, "n k"], density: Float[Array, " #n"], unknown: Bool[Array, " n"]
 ) -> PoissonOperator:
     """The matrix of the PPE from the `coefficient` c_ij of the Laplacian; `unknown` marks the rows to solve for.
 
@@ -122,7 +122,7 @@ def poisson_operator(
     pressure. A particle with at most D + 1 partners is therefore tied weakly to zero pressure: else one such pair in
     the spray makes the matrix singular and the whole solve fail.
     """
-    conductance = coefficient / mean_density(density, pairs)
+    conductance = coefficient * (1.0 / mean_density(density, pairs))
     rows = jnp.where(unknown[:, None], conductance, 0.0)
     diagonal = jnp.sum(rows, axis=-1)
     coupling = jnp.where(pairs.at_j(unknown), rows, 0.0)

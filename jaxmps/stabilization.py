@@ -30,7 +30,7 @@ class AbstractStabilizer(eqx.Module):
         acceleration: Float[Array, "n d"],
         pairs: Pairs,
         w: Float[Array, "n k"],
-        density: Float[Array, " n"],
+        density: Float[Array, " #n"],
         moves: Bool[Array, " n"],
         spacing: float,
         n0: float,
@@ -77,7 +77,7 @@ class DynamicStabilization(AbstractStabilizer):
         overlap = gap(acceleration, pairs, self.alpha_ds * spacing, dt)
         push = overlap * share_of_displacement(density, moves, pairs)
         push = push * {"kernel": w / n0, "mean": jnp.where(w > 0, 1.0 / n0, 0.0), "none": w > 0}[self.weighting]
-        shift = jnp.where(moves[:, None], -pairs.along(push / pairs.distance), 0.0)
+        shift = jnp.where(moves[:, None], -pairs.along(push * pairs.inverse), 0.0)
         # A pair of two moving particles stands in the table twice.
         active = jnp.where(moves[:, None], jnp.where(pairs.at_j(moves), 0.5, 1.0), 0.0)
         count = jnp.round(jnp.sum(jnp.where(overlap > 0, active, 0.0))).astype(int)

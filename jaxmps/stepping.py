@@ -63,7 +63,7 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     viscous = scheme.viscosity(old.velocity, viscosity, near, w, n0, lam * spacing**2)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
     u = jnp.where(moving, scheme.noise(u, key), u)
-    u = u + scheme.collision(u, near, case.density, old.fluid, spacing, dt)
+    u = u + scheme.collision(u, near, case.distinct_density, old.fluid, spacing, dt)
     predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (old.position + dt * u, u))
 
     neighbors = update(neighbors, predicted.position)
@@ -80,7 +80,7 @@ def pressure_equation(case: Case, scheme: Scheme, prediction: Prediction) -> Pre
     unknown = particles.has_pressure & ~surface
     coefficient = scheme.laplacian(near, _between_pressures(prediction), scheme.ratio, case.spacing)
     coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
-    operator = poisson_operator(near, coefficient, case.density, unknown)
+    operator = poisson_operator(near, coefficient, case.distinct_density, unknown)
     preconditioner = scheme.preconditioning(operator, unknown, near, particles.position, case.box, case.spacing)
     return PressureEquation(operator, prediction.source, unknown, particles.pressure, preconditioner)
 
@@ -97,7 +97,7 @@ def correct(
 ) -> tuple[State, StepInfo]:
     """The solved pressure and the stabilizer change u* and r*."""
     predicted, near, surface, moves = prediction.particles, prediction.near, prediction.surface, state.particles.fluid
-    n0, density, spacing = lattice(scheme.ratio, case.dim).n0, case.density, case.spacing
+    n0, density, spacing = lattice(scheme.ratio, case.dim).n0, case.distinct_density, case.spacing
     p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
     p = scheme.surface_condition.pressure(p, surface, unknown, near, prediction.w, spacing)
     a = -scheme.gradient(p, scheme.interface(density, near), near, _between_pressures(prediction), n0)

@@ -21,7 +21,8 @@ def test_density_of_a_pair_is_the_mean_or_that_of_the_particle_itself():
     # The second slot of each row is empty: it holds the particle itself.
     np.testing.assert_array_equal(PairedDensity()(density, near), [[1825.0, 1000.0], [1825.0, 2650.0]])
     np.testing.assert_array_equal(mean_density(density, near), PairedDensity()(density, near))
-    np.testing.assert_array_equal(OwnDensity()(density, near), [[1000.0, 1000.0], [2650.0, 2650.0]])
+    np.testing.assert_array_equal(OwnDensity()(density, near), [[1000.0], [2650.0]])
+    assert mean_density(jnp.array([1000.0]), near).shape == (1, 1)  # one fluid: one entry for all
 
 
 def test_lighter_particle_of_a_pair_takes_the_larger_share_and_all_of_it_from_a_fixed_one():
@@ -30,6 +31,19 @@ def test_lighter_particle_of_a_pair_takes_the_larger_share_and_all_of_it_from_a_
     np.testing.assert_allclose(share, [0.75, 0.25], rtol=1e-15)
     share = share_of_displacement(density, jnp.array([True, False]), near)[:, 0]
     assert float(share[0]) == 1.0
+    share = share_of_displacement(jnp.array([1000.0]), jnp.array([True, False]), near)[:, 0]
+    np.testing.assert_allclose(share, [1.0, 0.5], rtol=1e-15)
+
+
+@pytest.mark.parametrize("make", [schemes.mps, schemes.mps_hs_gc_ds])
+def test_two_fluids_of_one_density_flow_as_one(make):
+    one = cases.dam_break(spacing=0.05)
+    twice = jaxmps.Fluid(density=[1000.0, 1000.0], viscosity=[0.0, 0.0])
+    half = one.particles.phase.at[::2].set(1)
+    two = dataclasses.replace(one, fluids=twice, particles=dataclasses.replace(one.particles, phase=half))
+    ends = [jaxmps.rollout(case, make(), jaxmps.start(case, make()), steps=20)[0].particles for case in (one, two)]
+    np.testing.assert_allclose(ends[1].position, ends[0].position, rtol=1e-9)
+    np.testing.assert_allclose(ends[1].velocity, ends[0].velocity, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("upper", [600.0, 2650.0])

@@ -24,6 +24,6 @@ def density_rate(velocity: Float[Array, "n d"], pairs: Pairs, radius: float) -> 
     The exact rate of change of n_i for pairs within r_e. On a lattice it is −K n0 ∇·u with
     K = r_e Σ (1/r) / (D n0): 1.4175 in 2-D and 1.0731 in 3-D at r_e = 2.1 l0.
     """
-    approach = -dot(pairs.r_ij, pairs.between(velocity)) / pairs.distance**3
+    approach = -dot(pairs.r_ij, pairs.between(velocity)) * pairs.inverse**3
     counts = pairs.present & (pairs.distance < radius)
     return radius * jnp.sum(jnp.where(counts, approach, 0.0), axis=-1)

@@ -17,7 +17,7 @@ class AbstractGradient(eqx.Module):
     def __call__(
         self,
         pressure: Float[Array, " n"],
-        pair_density: Float[Array, "n k"],
+        pair_density: Float[Array, "#n #k"],
         pairs: Pairs,
         w: Float[Array, "n k"],
         n0: float,
@@ -35,7 +35,7 @@ class MinPressure(AbstractGradient):
 
     def __call__(self, pressure, pair_density, pairs, w, n0):
         difference = pairs.at_j(pressure) - minimum(pressure, pairs, w > 0)[:, None]
-        return weighted_gradient(difference / pair_density, pairs, w, n0)
+        return weighted_gradient(difference * (1.0 / pair_density), pairs, w, n0)
 
 
 class CMPS(AbstractGradient):
@@ -50,7 +50,7 @@ class CMPS(AbstractGradient):
 
     def __call__(self, pressure, pair_density, pairs, w, n0):
         excess = pressure - minimum(pressure, pairs, w > 0)
-        return weighted_gradient((excess[:, None] + pairs.at_j(excess)) / pair_density, pairs, w, n0)
+        return weighted_gradient((excess[:, None] + pairs.at_j(excess)) * (1.0 / pair_density), pairs, w, n0)
 
 
 class Corrected(AbstractGradient):
@@ -64,7 +64,7 @@ class Corrected(AbstractGradient):
     smallest: float = eqx.field(static=True, default=0.05)
 
     def __call__(self, pressure, pair_density, pairs, w, n0):
-        plain = weighted_gradient((pairs.at_j(pressure) - pressure[:, None]) / pair_density, pairs, w, n0)
+        plain = weighted_gradient((pairs.at_j(pressure) - pressure[:, None]) * (1.0 / pair_density), pairs, w, n0)
         return solve_small(moments(pairs, w, n0, self.smallest), plain)
 
 

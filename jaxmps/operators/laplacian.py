@@ -40,7 +40,7 @@ class HigherOrderLaplacian(AbstractLaplacian):
         dim = pairs.dim
         n0, k = lattice(ratio, dim).n0, lattice(ratio, dim).k
         factor = (2.0 / k if self.consistent else 5.0 - dim) / n0
-        return jnp.where(w > 0, factor * ratio * spacing / pairs.distance**3, 0.0)
+        return jnp.where(w > 0, factor * ratio * spacing * pairs.inverse**3, 0.0)
 
 
 def kernel_coefficient(w: Float[Array, "n k"], n0: float, lam: float, dim: int) -> Float[Array, "n k"]:
