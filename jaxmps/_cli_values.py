@@ -52,8 +52,8 @@ def build(
 ) -> tuple[Case, Scheme]:
     """Case and scheme of these names with `NAME=VALUE` settings; `jitter` in spacings.
 
-    A name may be an argument of the case, of the scheme or, as `ratio`, of both, or a dotted
-    value of the scheme. The case gets the ratio of the scheme if it is not set.
+    A name may be an argument of the case, of the scheme or, as `ratio`, of both, of `schemes.stochastic`, which any
+    scheme can be given to, or a dotted value of the scheme. The case gets the ratio of the scheme if it is not set.
     """
     if not 0 <= seed < 2**32:
         raise ValueError(f"seed must be between 0 and {2**32 - 1}, got {seed}")
@@ -68,14 +68,20 @@ def build(
             raise ValueError("spacing must be given once, got --spacing and --set spacing")
         for_case["spacing"] = spacing
     made = make_scheme(**for_scheme)
-    valid = [*arguments(make_case), *arguments(make_scheme), *values_of(made)]
+    of_noise = {
+        name: given for name, given in arguments(schemes.stochastic).items() if given.kind is given.KEYWORD_ONLY
+    }
+    for_noise = _picked(texts, of_noise)
+    if for_noise:
+        made = schemes.stochastic(made, **for_noise)
+    valid = [*arguments(make_case), *arguments(make_scheme), *of_noise, *values_of(made)]
     for name, text in texts.items():
         if name not in valid:
             raise ValueError(
                 f"--set must name an argument of {case} or {scheme}, or a value of the scheme, "
                 f"got {name} ({_hint(name, valid)})"
             )
-        if name not in for_case and name not in for_scheme:
+        if not any(name in taken for taken in (for_case, for_scheme, for_noise)):
             made = _replaced(made, name, name, text)
     if "ratio" in arguments(make_case):
         for_case.setdefault("ratio", made.ratio)

@@ -20,6 +20,11 @@ def as_array(value: Any) -> Array:
     return jnp.asarray(value, dtype=float)
 
 
+def positive_or_one(x: Array) -> Array:
+    """x where it is positive, else one: for quotients and roots that are not used there, nor their derivatives."""
+    return jnp.where(x > 0, x, 1.0)
+
+
 def total(parts: Iterable[Array]) -> Array:
     """The sum of arrays, of which there is at least one."""
     return functools.reduce(operator.add, parts)

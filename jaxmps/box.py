@@ -9,24 +9,30 @@ from jaxmps.validation import number
 
 
 class Box(eqx.Module):
-    """Lower and upper corner [m] and which axes are periodic; static, for it fixes the grid of the neighbor search.
+    """Lower and upper corner [m], which axes are periodic, and at the lower end of which one stands a mirror; static,
+    for it fixes the grid of the neighbor search.
 
-    On an open axis a particle outside `[lower, upper)` has left the domain and is taken out of the flow.
+    On an open axis a particle outside `[lower, upper)` has left the domain and is taken out of the flow. A mirror is a
+    smooth wall without particles: each particle near it has an image behind it, with the same pressure and the mirrored
+    velocity, and one that comes through is reflected. One axis at most may have a mirror.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True)
     upper: tuple[float, ...] = eqx.field(static=True)
     periodic: tuple[bool, ...] = eqx.field(static=True)
+    mirror: int | None = eqx.field(static=True)
 
     def __init__(
         self,
         lower: tuple[float, ...],
         upper: tuple[float, ...],
         periodic: tuple[bool, ...] | None = None,
+        mirror: int | None = None,
     ):
         self.lower = tuple(number("box.lower", x, "m") for x in lower)
         self.upper = tuple(number("box.upper", x, "m") for x in upper)
         self.periodic = (False,) * len(self.lower) if periodic is None else tuple(periodic)
+        self.mirror = mirror
         if not len(self.lower) == len(self.upper) == len(self.periodic) in (2, 3):
             raise ValueError(
                 "box.lower, box.upper and box.periodic must all have 2 or all have 3 entries, got "
@@ -34,6 +40,8 @@ class Box(eqx.Module):
             )
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(f"box.upper must exceed box.lower on every axis, got {self.lower} m and {self.upper} m")
+        if mirror is not None and (mirror not in range(self.dim) or self.periodic[mirror]):
+            raise ValueError(f"box.mirror must be an axis that is not periodic, got {mirror!r}")
 
     @property
     def dim(self) -> int:
@@ -62,6 +70,16 @@ class Box(eqx.Module):
         # Just below the lower end, round-off would give the upper one.
         inside = jnp.where(inside >= jnp.array(self.upper, position.dtype), lower, inside)
         return jnp.where(jnp.array(self.periodic), inside, position)
+
+    def reflect(
+        self, position: Float[Array, "n d"], velocity: Float[Array, "n d"]
+    ) -> tuple[Float[Array, "n d"], Float[Array, "n d"]]:
+        """Positions [m] behind the mirror put before it, and their velocities [m/s] turned."""
+        if self.mirror is None:
+            return position, velocity
+        plane = self.lower[self.mirror]
+        behind = (position[:, self.mirror] < plane)[:, None] & (jnp.arange(self.dim) == self.mirror)
+        return jnp.where(behind, 2.0 * plane - position, position), jnp.where(behind, -velocity, velocity)
 
     def contains(self, position: Float[Array, "*n d"]) -> Bool[Array, "*n"]:
         """Whether a position [m] lies in the box along its open axes. Not finite counts as outside."""

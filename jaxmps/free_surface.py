@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import Scalar, as_array
 from jaxmps._vectors import components, dot
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 
 
 class AbstractFreeSurface(eqx.Module):

@@ -11,7 +11,7 @@ from jaxmps._types import Scalar
 from jaxmps.case import Case
 from jaxmps.energy import Energy, mechanical_energy
 from jaxmps.linear import Convergence
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 from jaxmps.particles import Kind, Particles
 from jaxmps.stabilization import Push
 from jaxmps.status import Event, Status
@@ -32,7 +32,8 @@ class StepInfo(NamedTuple):
     `status`: bits of `Status`; `culprit`: for each of `BITS` the particle it is about; `residual`: true relative
     residual of the pressure solve; `travel`: largest displacement in spacings; `max_speed` [m/s]; `surface_count`,
     `escaped`: numbers of particles; `closest`: distance of the closest pair in spacings, before the correction;
-    `stabilized`: pairs that the stabilizer kept apart; `work`: energy [J/kg] that it gave; `energy` [J/kg]; `dt` [s].
+    `stabilized`: pairs that the stabilizer kept apart; `work`: energy [J/kg] that it gave; `given`: energy [J/kg] that
+    the noise gave; `energy` [J/kg]; `dt` [s].
     """
 
     status: Int[Array, "*steps"]
@@ -45,6 +46,7 @@ class StepInfo(NamedTuple):
     closest: Float[Array, "*steps"]
     stabilized: Int[Array, "*steps"]
     work: Float[Array, "*steps"]
+    given: Float[Array, "*steps"]
     energy: Energy
     dt: Float[Array, "*steps"]
 
@@ -56,6 +58,7 @@ def inspect(
     near: Pairs,
     surface: Bool[Array, " n"],
     push: Push,
+    given: Scalar,
     dt: Scalar,
     convergence: Convergence,
     overflow: Bool[Array, ""],
@@ -98,6 +101,7 @@ def inspect(
         closest=jnp.min(jnp.where(near.present & old.fluid[:, None], near.distance, jnp.inf)) / case.spacing,
         stabilized=push.pairs,
         work=_work(case, new, push),
+        given=given,
         energy=mechanical_energy(kept, case.density, case.gravity),
         dt=dt,
     )
@@ -122,6 +126,7 @@ class Log(NamedTuple):
     closest: Scalar
     stabilized: Scalar
     work: Scalar
+    given: Scalar
     count: Int[Array, " bits"]
     step: Int[Array, " bits"]
     time: Float[Array, " bits"]
@@ -133,7 +138,7 @@ class Log(NamedTuple):
 def empty_log(dim: int) -> Log:
     none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
     count, place = jnp.zeros((), jnp.int32), jnp.zeros((len(BITS), dim))
-    sums = (jnp.zeros(()), jnp.zeros(()), jnp.array(jnp.inf), jnp.zeros(()), jnp.zeros(()))
+    sums = (jnp.zeros(()), jnp.zeros(()), jnp.array(jnp.inf), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
     return Log(count, *sums, none, none, zero, none, place, zero)
 
 
@@ -151,6 +156,7 @@ def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Parti
         closest=jnp.where(accepted, jnp.minimum(log.closest, info.closest), log.closest),
         stabilized=log.stabilized + jnp.where(accepted, info.stabilized, 0),
         work=log.work + jnp.where(accepted, info.work, 0.0),
+        given=log.given + jnp.where(accepted, info.given, 0.0),
         count=log.count + jnp.where(raised, amount, 0).astype(log.count.dtype),
         step=jnp.where(first, step, log.step).astype(log.step.dtype),
         time=jnp.where(first, time, log.time),

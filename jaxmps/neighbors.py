@@ -1,4 +1,4 @@
-"""The neighbor table: the one door to jax-md's lists, and `Pairs`, which all operators read.
+"""The neighbor table: the one door to jax-md's lists.
 
 A list is jax-md's own type with its conventions, and with a search of ours: theirs takes ten to seventy times as long.
 jax-md is imported when a list is first allocated: it takes several seconds.
@@ -13,13 +13,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float
 
 from jaxmps._compilation import jit
 from jaxmps._search import ball, search, window_size
-from jaxmps._vectors import Vectors, components, dot, joined, take
+from jaxmps._vectors import components, dot, take
 from jaxmps.box import Box
 from jaxmps.kernels import lattice
+from jaxmps.pairs import Pairs
 from jaxmps.particles import Kind, Particles
 
 SKIN = 0.1
@@ -28,48 +29,6 @@ SKIN = 0.1
 A slot costs more than a rebuild saves: all that is summed over neighbors runs over empty slots, too. The list is
 rebuilt once in nearly every step, at the predicted positions; from there the correction moves nobody by half the skin.
 """
-
-
-class Pairs(eqx.Module):
-    """For particle i (row) its neighbors j (slots): components of `r_ij` = r_j − r_i [m], `distance` [m], `present`.
-
-    A slot that is not present holds i itself and the distance l0, so that no value and no derivative meets a zero.
-    Particles that were removed from the flow are nobody's neighbors.
-    """
-
-    j: Int[Array, "n k"]
-    r_ij: Vectors
-    distance: Float[Array, "n k"]
-    present: Bool[Array, "n k"]
-
-    @property
-    def dim(self) -> int:
-        return len(self.r_ij)
-
-    @property
-    def inverse(self) -> Float[Array, "n k"]:
-        """1 / |r_ij| [1/m]. Divisions take the longest of all that is done with a pair: operators share this one."""
-        return 1.0 / self.distance
-
-    @property
-    def e_ij(self) -> Vectors:
-        """r_ij / |r_ij|, zero in empty slots."""
-        return tuple(x * self.inverse for x in self.r_ij)
-
-    def at_j(self, x: Shaped[Array, " n"]) -> Shaped[Array, "n k"]:
-        """x_j of each pair."""
-        return take(x, self.j)
-
-    def between(self, x: Float[Array, "n d"]) -> Vectors:
-        """x_j − x_i of each pair."""
-        return tuple(self.at_j(c) - c[:, None] for c in components(x))
-
-    def along(self, factor: Float[Array, "n k"]) -> Float[Array, "n d"]:
-        """Σ_j f_ij r_ij.
-
-        CPUs compute a factor once if it ends with a division. One of products alone they compute anew for each axis.
-        """
-        return joined(tuple(jnp.sum(factor * x, axis=-1) for x in self.r_ij))
 
 
 class Neighbors(eqx.Module):
@@ -107,13 +66,14 @@ def allocate(position: Float[Array, "n d"], box: Box, cutoff: float, skin: float
     from jax_md import partition
 
     n = position.shape[0]
-    capacity = max(0, min(capacity, n - 1))
+    points = n if box.mirror is None else 2 * n
+    capacity = max(0, min(capacity, points - 1))
     jax_md: Any = partition  # type checkers do not see the fields of its classes
     table = jax_md.NeighborList(
-        idx=jnp.full((n, capacity), n, jnp.int32),
+        idx=jnp.full((n, capacity), points, jnp.int32),
         reference_position=jnp.full_like(position, jnp.nan),  # nobody was anywhere: the first update builds the list
         error=jax_md.PartitionError(jnp.zeros((), jnp.uint8)),
-        cell_list_capacity=window_size(box.lengths, box.periodic, cutoff + skin, n, capacity),
+        cell_list_capacity=window_size(_lengths(box, cutoff + skin), box.periodic, cutoff + skin, points, capacity),
         max_occupancy=capacity,
         format=jax_md.Dense,
         cell_size=None,
@@ -150,11 +110,15 @@ def pairs(neighbors: Neighbors, particles: Particles, spacing: float) -> Pairs:
     position, n = particles.position, particles.position.shape[0]
     table = neighbors.table.idx
     if not neighbors.capacity:  # a particle alone in the world: operators still want a slot
-        table = jnp.full((n, 1), n, table.dtype)
-    own = jnp.arange(n, dtype=table.dtype)[:, None]
-    listed = table < n
-    j = jnp.where(listed, table, own)
-    apart = (take(x, j) - x[:, None] for x in components(position))
+        table = jnp.full((n, 1), 2 * n, table.dtype)
+    own, mirror = jnp.arange(n, dtype=table.dtype)[:, None], neighbors.box.mirror
+    listed = table < (n if mirror is None else 2 * n)
+    image = None if mirror is None else listed & (table >= n)
+    j = jnp.where(listed, table if image is None else jnp.where(image, table - n, table), own)
+    at_j = [take(x, j) for x in components(position)]
+    if mirror is not None and image is not None:
+        at_j[mirror] = jnp.where(image, 2.0 * neighbors.box.lower[mirror] - at_j[mirror], at_j[mirror])
+    apart = (there - x[:, None] for there, x in zip(at_j, components(position), strict=True))
     r_ij = tuple(neighbors.box.nearest(axis, x) for axis, x in enumerate(apart))
     squared = dot(r_ij, r_ij)
     active = particles.kind != Kind.REMOVED
@@ -163,21 +127,29 @@ def pairs(neighbors: Neighbors, particles: Particles, spacing: float) -> Pairs:
     # Coinciding particles get a tiny distance instead of zero: a large weight, but a finite one.
     floor = (1e-3 * spacing) ** 2
     distance = jnp.sqrt(jnp.where(present, jnp.maximum(squared, floor), spacing**2))
-    return Pairs(jnp.where(present, j, own), r_ij, distance, present)
+    image = None if image is None else image & present
+    return Pairs(jnp.where(present, j, own), r_ij, distance, present, image, mirror)
 
 
 @functools.cache
 def _update_function(box: Box, cutoff: float, skin: float) -> Callable[..., Any]:
     """jax-md's `update_fn`, one for each geometry: it is part of the type of a list, and so of all that is compiled.
 
-    Positions are jax-md's: relative to the lower corner and, along periodic axes, inside the box.
+    Positions are jax-md's: relative to the lower corner and, along periodic axes, inside the box. With a mirror the
+    numbers from n on are those of the images.
     """
     from jax_md.partition import PartitionErrorCode
 
+    reach = cutoff + skin
+    lengths = _lengths(box, reach)
+
     def rebuild(position: Array, table: Any) -> Any:
+        n = len(position)
+        points = position if box.mirror is None else _with_images(position, box.mirror, reach)
         idx, slots_full, windows_full = search(
-            position, box.lengths, box.periodic, cutoff + skin, table.max_occupancy, table.cell_list_capacity
+            points, lengths, box.periodic, reach, table.max_occupancy, table.cell_list_capacity
         )
+        idx = idx[:n]
         error = table.error.update(PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW, slots_full)
         error = error.update(PartitionErrorCode.CELL_LIST_OVERFLOW, windows_full)
         return dataclasses.replace(table, idx=idx, reference_position=position, error=error)
@@ -189,3 +161,15 @@ def _update_function(box: Box, cutoff: float, skin: float) -> Callable[..., Any]
         return jax.lax.cond(jnp.any(moved), rebuild, lambda _, kept: kept, position, table)
 
     return update_fn
+
+
+def _lengths(box: Box, reach: float) -> tuple[float, ...]:
+    """Lengths [m] of the space to be searched, with the images that lie within `reach` [m] behind a mirror."""
+    return tuple(length + (reach if axis == box.mirror else 0.0) for axis, length in enumerate(box.lengths))
+
+
+def _with_images(position: Float[Array, "n d"], mirror: int, reach: float) -> Float[Array, "2*n d"]:
+    """Positions [m] in that space, and of those within `reach` the images; other images are nowhere."""
+    image = position.at[:, mirror].multiply(-1.0)
+    image = jnp.where(position[:, mirror, None] < reach, image, jnp.nan)
+    return jnp.concatenate([position, image]).at[:, mirror].add(reach)

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 
 
 class AbstractInterface(eqx.Module):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from jaxmps.box import Box
 from jaxmps.linear import AbstractPreconditioner, Jacobi
 from jaxmps.multigrid import cover, multigrid
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 from jaxmps.pressure import PoissonOperator
 
 

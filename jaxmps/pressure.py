@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxmps._types import Scalar, as_array
 from jaxmps._vectors import take
 from jaxmps.linear import AbstractOperator, AbstractPreconditioner, Convergence, solve
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 from jaxmps.phases import mean_density
 
 _TIE = 1e-3  # of the diagonal: what ties a lonely clump of particles to zero pressure
@@ -122,6 +122,8 @@ def poisson_operator(
     pressure. A particle with at most D + 1 partners is therefore tied weakly to zero pressure: else one such pair in
     the spray makes the matrix singular and the whole solve fail.
     """
+    if pairs.own_image is not None:  # it has i's own pressure
+        coefficient = jnp.where(pairs.own_image, 0.0, coefficient)
     conductance = coefficient * (1.0 / mean_density(density, pairs))
     rows = jnp.where(unknown[:, None], conductance, 0.0)
     diagonal = jnp.sum(rows, axis=-1)

@@ -91,7 +91,7 @@ class Recorder:
         """The run, with its summary."""
         seconds = clock.perf_counter() - self._began
         steps, kind = int(log.steps), np.asarray(state.particles.kind)
-        # Of the stabilizer: mean number of pairs kept apart, and the energy that it gave in all [J/kg].
+        # Mean number of pairs that the stabilizer kept apart; energies that it and the noise gave in all [J/kg].
         summary = {
             "case": self._case.name,
             "scheme": self._metadata["scheme"]["name"],
@@ -107,6 +107,7 @@ class Recorder:
             "closest_pair": float(log.closest) if np.isfinite(log.closest) else None,
             "stabilized_pairs": float(log.stabilized) / max(steps, 1),
             "stabilizer_work": float(log.work),
+            "noise_work": float(log.given),
             "mean_residual": float(log.residual) / max(steps, 1),
             "wall_seconds": seconds,
             "particle_steps_per_second": steps * len(kind) / seconds,

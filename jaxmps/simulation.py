@@ -51,6 +51,7 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
         surface=surface,
         time=jnp.zeros_like(case.particles.pressure[0]),
         step=jnp.zeros((), jnp.int32),
+        loss=jnp.zeros_like(case.particles.pressure[0]),
     )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar, as_array
 from jaxmps._vectors import dot
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 from jaxmps.phases import share_of_displacement
 
 

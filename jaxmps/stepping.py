@@ -6,20 +6,24 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxmps._types import Scalar
+from jaxmps._types import Scalar, positive_or_one
 from jaxmps.case import Case
+from jaxmps.energy import energy_loss, kinetic_energy
 from jaxmps.kernels import lattice
 from jaxmps.linear import Convergence
 from jaxmps.monitor import StepInfo, inspect
-from jaxmps.neighbors import Neighbors, Pairs, pairs, update
+from jaxmps.neighbors import Neighbors, pairs, update
 from jaxmps.operators import density_rate, divergence, number_density, pair_weight
+from jaxmps.pairs import Pairs
 from jaxmps.particles import Particles
 from jaxmps.pressure import Compression, PressureEquation, poisson_operator, solve_pressure
 from jaxmps.scheme import Scheme
 
 
 class State(eqx.Module):
-    """A flow at an instant: particles, their list, the number density and surface of the last prediction, time [s]."""
+    """A flow at an instant: particles, their list, the number density and surface of the last prediction, time [s], and
+    the `loss` of energy [J/kg] in the last step, which noise gives back.
+    """
 
     particles: Particles
     neighbors: Neighbors
@@ -27,10 +31,14 @@ class State(eqx.Module):
     surface: Bool[Array, " n"]
     time: Scalar
     step: Int[Array, ""]
+    loss: Scalar
 
 
 class Prediction(NamedTuple):
-    """The flow after the explicit part of a step, without the pressure: u*, r*, and what belongs to them."""
+    """The flow after the explicit part of a step, without the pressure: u*, r*, and what belongs to them.
+
+    `given`: energy [J/kg] of the noise.
+    """
 
     particles: Particles
     neighbors: Neighbors
@@ -39,6 +47,7 @@ class Prediction(NamedTuple):
     number_density: Float[Array, " n"]
     surface: Bool[Array, " n"]
     source: Float[Array, " n"]
+    given: Scalar
 
 
 def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]) -> tuple[State, StepInfo]:
@@ -62,16 +71,20 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     viscosity = case.fluids.viscosity[old.phase]
     viscous = scheme.viscosity(old.velocity, viscosity, near, w, n0, lam * spacing**2)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
-    u = jnp.where(moving, scheme.noise(u, key), u)
+    mass = jnp.where(old.fluid, case.density, 0.0)
+    noise = scheme.noise(u, state.loss, mass, case.box.periodic, key)
+    given = kinetic_energy(u + noise, mass) - kinetic_energy(u, mass)
+    u = u + noise
     u = u + scheme.collision(u, near, case.distinct_density, old.fluid, spacing, dt)
-    predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (old.position + dt * u, u))
+    position, u = case.box.reflect(old.position + dt * u, u)
+    predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (position, u))
 
     neighbors = update(neighbors, predicted.position)
     near = pairs(neighbors, predicted, spacing)
     w = pair_weight(near, radius)
     n, surface = density_and_surface(case, scheme, old, near, w)
     source = scheme.source(compression(u, near, w, radius, n0), current, n0, dt)
-    return Prediction(predicted, neighbors, near, w, n, surface, source)
+    return Prediction(predicted, neighbors, near, w, n, surface, source, given)
 
 
 def pressure_equation(case: Case, scheme: Scheme, prediction: Prediction) -> PressureEquation:
@@ -105,10 +118,13 @@ def correct(
     push = scheme.stabilizer(a, near, prediction.w, density, moves, spacing, n0, dt)
     position = predicted.position + dt * dt * a + push.displacement
     velocity = predicted.velocity + dt * a + push.velocity
+    position, velocity = case.box.reflect(position, velocity)
     new = Particles(position, velocity, p, predicted.kind, predicted.phase)
+    loss = energy_loss(state.particles, new, case.density, case.gravity, dt)
     full = prediction.neighbors.overflow
-    new, info = inspect(case, state.particles, new, near, surface, push, dt, convergence, full)
-    return State(new, prediction.neighbors, prediction.number_density, surface, state.time + dt, state.step + 1), info
+    new, info = inspect(case, state.particles, new, near, surface, push, prediction.given, dt, convergence, full)
+    n = prediction.number_density
+    return State(new, prediction.neighbors, n, surface, state.time + dt, state.step + 1, loss), info
 
 
 def _between_pressures(prediction: Prediction) -> Float[Array, "n k"]:
@@ -139,15 +155,11 @@ def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:
     fastest = jnp.max(jnp.where(particles.fluid, squared_speed, 0.0))
     rule, spacing = scheme.time_step, case.spacing
     courant = _over_root(rule.courant * spacing, fastest)
-    falling = _over_root(rule.gravity_limit * spacing**0.5, jnp.sqrt(_positive(jnp.sum(case.gravity**2))))
+    falling = _over_root(rule.gravity_limit * spacing**0.5, jnp.sqrt(positive_or_one(jnp.sum(case.gravity**2))))
     falling = jnp.where(jnp.any(case.gravity != 0), falling, jnp.inf)
     return jnp.minimum(courant, falling)
 
 
 def _over_root(a: Scalar, squared: Scalar) -> Scalar:
     """a / √squared, infinite for zero, with derivatives that stay finite there."""
-    return jnp.where(squared > 0, a / jnp.sqrt(_positive(squared)), jnp.inf)
-
-
-def _positive(x: Scalar) -> Scalar:
-    return jnp.where(x > 0, x, 1.0)
+    return jnp.where(squared > 0, a / jnp.sqrt(positive_or_one(squared)), jnp.inf)

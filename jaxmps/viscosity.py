@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmps.neighbors import Pairs
 from jaxmps.operators import laplacian
+from jaxmps.pairs import Pairs
 
 
 class AbstractViscosity(eqx.Module):

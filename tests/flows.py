@@ -232,7 +232,7 @@ def equation(flow: Flow, surface: Bool[Array, " n"], source: Float[Array, " n"])
     """The pressure equation, preconditioned by multigrid, with a cold start."""
     near = pairs(flow.neighbors, flow.case.particles, flow.case.spacing)
     zero, w = jnp.zeros_like(source), pair_weight(near, RATIO)
-    predicted = Prediction(flow.case.particles, flow.neighbors, near, w, zero, surface, source)
+    predicted = Prediction(flow.case.particles, flow.neighbors, near, w, zero, surface, source, jnp.zeros(()))
     return pressure_equation(flow.case, schemes.mps(), predicted)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxmps._vectors import components
 from jaxmps.collision import NoCollision, PairCollision
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 
 SPACING = 0.1
 DT = 1e-3

@@ -86,3 +86,38 @@ def test_the_example_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     exec(text, {})
     assert float(capsys.readouterr().out) != 0.0
     assert (tmp_path / "dam.vtkhdf").exists()
+
+
+def test_the_standing_wave_example_fits_its_wave_and_closes_its_budget(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    example = load("standing_wave")
+    small = {
+        "spacing": 0.05,
+        "until": 1.0,
+        "seeds": (0, 1),
+        "names": ("alpha 0.02", "alpha 0.04"),
+        "out": str(tmp_path),
+    }
+    measured = example.main(**small)
+    assert set(measured) == {"alpha 0.02", "alpha 0.04"}
+    for waves in measured.values():
+        assert all(wave.error < 0.06 and wave.given > 0.0 for wave in waves)
+    # Twice the strength gives about twice the energy.
+    weak, strong = (np.mean([wave.given for wave in waves]) for waves in measured.values())
+    assert 1.2 < strong / weak < 4.0
+    assert "drift" in capsys.readouterr().out
+    assert {p.name for p in tmp_path.glob("*.png")} == {"height.png", "energy.png", "surface.png"}
+    assert example.main(**small, reuse=True) == measured
+
+
+def test_the_stochastic_dam_break_example_sloshes_and_says_what_a_large_alpha_does(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    example = load("stochastic_dam_break")
+    times = example.main(0.1, 1.5, 0.1, seeds=(0, 1), alphas=(0.0, 0.003), out=str(tmp_path))
+    assert set(times) == {0.0, 0.003}
+    assert all(0.0 < time <= 1.5 for several in times.values() for time in several)
+    # The columns: alpha, time and interval, energy and interval, given, lost, left the tank, highest.
+    rows = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if "±" in line}
+    assert float(rows["0"][7]) == 0.0
+    assert 0.0 < float(rows["0.003"][7]) < float(rows["0.2"][7])
+    assert {p.name for p in tmp_path.glob("*.png")} == {"energy.png", "frames.png"}

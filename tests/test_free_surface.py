@@ -12,8 +12,8 @@ from jaxmps._vectors import components
 from jaxmps.free_surface import AtCenters, DensityThreshold, HalfSpacing, OneSided, toward_neighbors
 from jaxmps.kernels import lattice
 from jaxmps.linear import Jacobi
-from jaxmps.neighbors import Pairs
 from jaxmps.operators import KernelLaplacian, number_density, pair_weight
+from jaxmps.pairs import Pairs
 from jaxmps.pressure import PressureEquation, poisson_operator, solve_pressure
 
 RADIUS = 2.1 * SPACING

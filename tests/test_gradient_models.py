@@ -8,7 +8,6 @@ from arrangements import CLOUD, DIMENSIONS, SPACING, block, box_cloud, cloud, co
 
 from jaxmps._vectors import components
 from jaxmps.kernels import lattice
-from jaxmps.neighbors import Pairs
 from jaxmps.operators import (
     CMPS,
     Corrected,
@@ -16,6 +15,7 @@ from jaxmps.operators import (
     pair_weight,
 )
 from jaxmps.operators.gradient import minimum, solve_small, weighted_gradient
+from jaxmps.pairs import Pairs
 from jaxmps.phases import OwnDensity, PairedDensity
 
 RADIUS = 2.1 * SPACING

@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 from jaxmps import Box, Kind
 from jaxmps._vectors import dot
 from jaxmps.kernels import lattice
-from jaxmps.neighbors import Neighbors, Pairs, allocate, grow, pairs, update, usual_capacity
+from jaxmps.neighbors import Neighbors, allocate, grow, pairs, update, usual_capacity
+from jaxmps.pairs import Pairs
 from jaxmps.particles import at_rest
 
 SPACING = 0.1

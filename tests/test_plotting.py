@@ -171,6 +171,14 @@ def test_an_animation_names_the_suffixes_that_it_can_write(tmp_path, name):
     assert not any(tmp_path.iterdir())
 
 
+def test_energy_is_shown_per_volume_as_well(tmp_path):
+    ax = plotting.energy(make_run()).axes[0]
+    (volume,) = ax.child_axes
+    ax.figure.savefig(tmp_path / "energy.png")
+    low, high = ax.get_ylim()
+    assert volume.get_ylim() == pytest.approx((1000.0 * low, 1000.0 * high))
+
+
 def test_energy_shows_three_curves_that_add_up():
     total, potential, kinetic = (line.get_ydata() for line in plotting.energy(make_run()).axes[0].lines)
     np.testing.assert_allclose(np.asarray(total, float), np.add(potential, kinetic))

@@ -15,8 +15,8 @@ from jaxmps._vectors import components
 from jaxmps.kernels import lattice
 from jaxmps.linear import Jacobi
 from jaxmps.linear import solve as solve_plainly
-from jaxmps.neighbors import Pairs
 from jaxmps.operators import KernelLaplacian, laplacian, pair_weight
+from jaxmps.pairs import Pairs
 from jaxmps.particles import at_rest
 from jaxmps.pressure import (
     Compression,

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,12 +79,7 @@ def test_values_that_are_not_finite_stop_the_run_at_the_last_good_state(scheme):
     case = dam()
     state = mps.start(case, scheme)
     broken = state.particles.velocity.at[7, 0].set(jnp.nan)
-    state = mps.State(
-        mps.Particles(
-            state.particles.position, broken, state.particles.pressure, state.particles.kind, state.particles.phase
-        ),
-        state.neighbors, state.number_density, state.surface, state.time, state.step,
-    )  # fmt: skip
+    state = eqx.tree_at(lambda s: s.particles.velocity, state, broken)
     run = mps.simulate(case, scheme, until=0.1, dt=1e-3, start=state)
     assert Status.NOT_FINITE in run.status.flags and run.status.events[0].particle == 7
     assert np.isfinite(run.position).all()

@@ -103,7 +103,7 @@ def test_bad_argument_is_refused_by_name_and_value(unchecked, name):
             continue
         shown = f"{value:g}" if isinstance(value, float) else repr(value)
         with pytest.raises(ValueError) as caught:
-            standing_wave(**{name: value})
+            standing_wave(**{name: value})  # type: ignore[arg-type]
         assert str(caught.value).startswith(f"{name} must be")
         assert shown in str(caught.value)
 

@@ -10,8 +10,6 @@ from jaxmps.cases.square_patch import square_patch as square_patch
 from jaxmps.cases.square_patch import square_patch_pressure as square_patch_pressure
 from jaxmps.cases.square_patch import square_patch_tip as square_patch_tip
 from jaxmps.cases.standing_wave import standing_wave as standing_wave
-from jaxmps.cases.standing_wave import standing_wave_frequency as standing_wave_frequency
-from jaxmps.cases.standing_wave import standing_wave_reference as standing_wave_reference
 from jaxmps.cases.two_phase import SETTLING_ACCELERATION as SETTLING_ACCELERATION
 from jaxmps.cases.two_phase import SURFACING_ACCELERATION as SURFACING_ACCELERATION
 from jaxmps.cases.two_phase import grain_groups as grain_groups
@@ -19,3 +17,8 @@ from jaxmps.cases.two_phase import settling as settling
 from jaxmps.cases.two_phase import surfacing as surfacing
 from jaxmps.cases.two_phase import two_layer as two_layer
 from jaxmps.cases.two_phase import two_layer_pressure as two_layer_pressure
+from jaxmps.cases.wave_theory import standing_wave_frequency as standing_wave_frequency
+from jaxmps.cases.wave_theory import standing_wave_linear as standing_wave_linear
+from jaxmps.cases.wave_theory import standing_wave_reference as standing_wave_reference
+from jaxmps.cases.wave_theory import standing_wave_second_order as standing_wave_second_order
+from jaxmps.cases.wave_theory import standing_wave_wu_taylor as standing_wave_wu_taylor

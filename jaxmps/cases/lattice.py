@@ -91,13 +91,15 @@ def tank_case(
     fluids: Fluid,
     phase: Callable[[np.ndarray], np.ndarray] | None = None,
     periodic: tuple[bool, ...] | None = None,
+    mirror: int | None = None,
     first: tuple[float, ...] | None = None,
 ) -> Case:
     """A block of fluid at rest in a tank whose inner lower corner is the origin. `headroom`: top of the domain [m].
 
     Each particle stands in the middle of its cell, the first at l0 / 2 from floor and walls, unless `first` has another
     place for it [spacings]. `phase` finds the phases of the block's particles from their positions `(n, d)` [m], or −1
-    where the block has no particle; walls, and all particles if there is no `phase`, are of phase 0.
+    where the block has no particle; walls, and all particles if there is no `phase`, are of phase 0. At the lower end
+    of the axis `mirror` a mirror takes the place of the wall.
     """
     not_negative("gravity", gravity, "m/s^2")
     positive("ratio", ratio, "spacings")
@@ -110,8 +112,10 @@ def tank_case(
     if phase is not None:
         phases[kind == Kind.FLUID] = phase(position[kind == Kind.FLUID])
     there = phases >= 0
+    if mirror is not None:
+        there &= points[:, mirror] >= 0
     margin = (1 + layers) * spacing
-    lower = [0.0 if p else -margin for p in periodic]
+    lower = [0.0 if p or axis == mirror else -margin for axis, p in enumerate(periodic)]
     upper = [size * spacing + (0.0 if p else margin) for size, p in zip(inside, periodic, strict=True)]
     upper[-1] = headroom
     return Case(
@@ -119,7 +123,7 @@ def tank_case(
         fluids=fluids,
         gravity=[0.0] * (dim - 1) + [-gravity],
         spacing=spacing,
-        box=Box(tuple(lower), tuple(upper), periodic),
+        box=Box(tuple(lower), tuple(upper), periodic, mirror),
         name=name,
         parameters=tuple(parameters.items()),
     )

@@ -1,17 +1,13 @@
-"""A standing wave between periodic sides, and how it moves by theory."""
+"""A standing wave between periodic sides."""
 
-import importlib.resources
 import math
-from typing import Any
+from typing import Any, Literal
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxmps._types import ArrayLike
 from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
-from jaxmps.validation import at_most, between, positive
+from jaxmps.validation import at_most, between, one_of, positive
 
 _FIRST = (0.5, 0.45)  # place of the first particle [spacings]
 
@@ -25,6 +21,7 @@ def standing_wave(
     gravity: float = 9.81,
     density: float = WATER["density"],
     viscosity: float = 0.0,
+    floor: Literal["wall", "mirror"] = "wall",
     ratio: float = 2.1,
 ) -> Case:
     """Water of the mean depth h under the surface η = A cos(k (x − L/2)), at rest at t = 0 ([N11] §5.2).
@@ -34,8 +31,9 @@ def standing_wave(
     default, as the paper solves Euler's equation.
 
     Columns of particles at x = (i + ½) l0 with rows at y = (j + 0.45) l0 up to h + η: the defaults make the 834 fluid
-    particles of the paper (rows from ½ l0 would make 832). The floor is y = 0: a mirror in the paper, here one row of
-    wall and rows of dummies that continue the lattice below the water. `ratio` is r_e / l0 of the scheme to be used.
+    particles of the paper (rows from ½ l0 would make 832). The `floor` is y = 0: with "wall" one row of
+    wall and rows of dummies that continue the lattice below the water, with "mirror" that of the paper, without
+    particles. `ratio` is r_e / l0 of the scheme to be used.
     """
     lengths = {"spacing": spacing, "length": length, "depth": depth}
     for name, value in lengths.items():
@@ -49,6 +47,7 @@ def standing_wave(
         "gravity": gravity,
         "density": density,
         "viscosity": viscosity,
+        "floor": one_of("floor", floor, ("wall", "mirror")),
         "ratio": ratio,
     }
     columns, crest = cells(length, spacing), depth + amplitude
@@ -72,24 +71,6 @@ def standing_wave(
         fluids=materials({"density": density}, {"viscosity": viscosity}),
         phase=phase,
         periodic=(True, False),
+        mirror=1 if floor == "mirror" else None,
         first=_FIRST,
     )
-
-
-def standing_wave_frequency(
-    length: ArrayLike = 1.0, depth: ArrayLike = 1.0 / 3.0, gravity: float = 9.81
-) -> Float[Array, "*waves"]:
-    """Angular frequency ω [rad/s] of a small standing wave, ω² = g k tanh kh, k = 2π / `length`; its period is 2π/ω."""
-    wavenumber = 2.0 * math.pi / jnp.asarray(length)
-    return jnp.sqrt(gravity * wavenumber * jnp.tanh(wavenumber * jnp.asarray(depth)))
-
-
-def standing_wave_reference() -> Float[np.ndarray, "times 3"]:
-    """Time [s], surface elevation η [m] at the center and at the sides, for the defaults of `standing_wave` to 6 s.
-
-    A fully nonlinear inviscid solution by mixed boundary elements, computed for this project: within 2 % to 3.3 s and
-    5 % after 4 s. With kA = 0.44 the heights of its crests beat; the wave of second order is not the truth here.
-    """
-    source = importlib.resources.files("jaxmps.cases").joinpath("data", "standing_wave_nonlinear.csv")
-    with source.open(encoding="utf-8") as lines:
-        return np.loadtxt(lines, delimiter=",")

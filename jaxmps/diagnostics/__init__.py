@@ -7,5 +7,14 @@ from jaxmps.diagnostics.layers import surface_height as surface_height
 from jaxmps.diagnostics.separation import breakup as breakup
 from jaxmps.diagnostics.separation import nearest as nearest
 from jaxmps.diagnostics.surface import surge_front as surge_front
+from jaxmps.diagnostics.tracing import Surface as Surface
+from jaxmps.diagnostics.tracing import trace as trace
+from jaxmps.diagnostics.tracing import trace_surface as trace_surface
+from jaxmps.diagnostics.waves import Cosine as Cosine
+from jaxmps.diagnostics.waves import Parabola as Parabola
+from jaxmps.diagnostics.waves import WaveFit as WaveFit
+from jaxmps.diagnostics.waves import fit_cosine as fit_cosine
+from jaxmps.diagnostics.waves import fit_parabola as fit_parabola
+from jaxmps.diagnostics.waves import wave_fit as wave_fit
 from jaxmps.energy import Energy as Energy
 from jaxmps.energy import mechanical_energy as mechanical_energy

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import total
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 
 
 class AbstractGradient(eqx.Module):

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmps._vectors import components, joined
+from jaxmps._vectors import joined
 from jaxmps.kernels import lattice
-from jaxmps.neighbors import Pairs
+from jaxmps.pairs import Pairs
 
 
 class AbstractLaplacian(eqx.Module):
@@ -59,6 +59,7 @@ def laplacian(
 
     Exact for a paraboloid on a full lattice. Pairs that shall not count get the weight zero.
     """
-    if phi.ndim > 1:
-        return joined(tuple(laplacian(x, pairs, w, n0, lam) for x in components(phi)))
-    return jnp.sum(kernel_coefficient(w, n0, lam, pairs.dim) * (pairs.at_j(phi) - phi[:, None]), axis=-1)
+    differences = pairs.between(phi) if phi.ndim > 1 else (pairs.at_j(phi) - phi[:, None],)
+    c = kernel_coefficient(w, n0, lam, pairs.dim)
+    sums = tuple(jnp.sum(c * difference, axis=-1) for difference in differences)
+    return joined(sums) if phi.ndim > 1 else sums[0]

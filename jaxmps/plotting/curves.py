@@ -14,8 +14,11 @@ _BLUE, _ORANGE, _DARK = "#2f7fc1", "#d9822b", "#1b2a3a"
 
 
 def energy(run: Run, ax: Any = None) -> "Figure":
-    """Kinetic, potential and total energy per unit mass of fluid [J/kg] against time."""
-    ax = _axes(run) if ax is None else ax
+    """Kinetic, potential and total energy against time, per unit mass [J/kg] and per volume [J/m³] of the fluid.
+
+    Particles have equal volumes, so one is the other times the mean density.
+    """
+    ax = _axes(run, 0.76) if ax is None else ax
     kinetic, potential = run.energy.T
     for values, name, color in (
         (kinetic + potential, "total", _DARK),
@@ -25,6 +28,9 @@ def energy(run: Run, ax: Any = None) -> "Figure":
         ax.plot(run.time, values, label=name, color=color, lw=1.8)
     ax.set(xlabel="t [s]", ylabel="energy per unit mass [J/kg]")
     ax.margins(x=0.0, y=0.08)
+    density = float(np.mean(run.density[run.fluid[0]]))
+    volume = ax.secondary_yaxis("right", functions=(lambda e: density * e, lambda e: e / density))
+    volume.set_ylabel("energy per volume [J/m³]")
     _finish(ax)
     return ax.figure
 
@@ -67,9 +73,9 @@ def front(run: Run, ax: Any = None) -> "Figure":
     return ax.figure
 
 
-def _axes(run: Run) -> Any:
+def _axes(run: Run, width: float = 0.85) -> Any:
     figure = new_figure(6.6, 4.2)
-    ax = figure.add_axes((0.11, 0.14, 0.85, 0.76))
+    ax = figure.add_axes((0.11, 0.14, width, 0.76))
     ax.set_title(" · ".join(heading(run)), loc="left", fontsize=11)
     return ax
 
