@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, FAILED, INTERRUPTED = 2, 1, 130
 _SHOWN = {"time": "s", "energy_start": "J/kg", "energy_end": "J/kg", "max_speed": "m/s"}
-_SHOWN |= {"wall_seconds": "s", "particle_steps_per_second": "1/s"}
+_SHOWN |= {"stabilizer_work": "J/kg", "noise_work": "J/kg", "wall_seconds": "s", "particle_steps_per_second": "1/s"}
 
 
 def say(kind: str, message: str) -> None:

@@ -23,6 +23,7 @@ from jaxmps.cli import main
 from jaxmps.io import read
 from jaxmps.recorder import Recorder
 from jaxmps.status import Event, Outcome, Status
+from jaxmps.stochastic import DriftFreeVelocity, StochasticVelocity
 
 # A fixed time step of any size runs the same compiled code.
 TINY = ("run", "dam_break", "--spacing", "0.1", "--dt", "0.005")
@@ -281,6 +282,16 @@ def test_settings_reach_case_scheme_and_single_values():
     assert float(scheme.time_step.courant) == pytest.approx(0.05)
     assert scheme.clip_pressure is False
     assert scheme.max_iterations == 50
+
+
+@pytest.mark.parametrize("scheme", ["mps", "mps_hs_gc_ds"])
+def test_any_scheme_takes_the_stochastic_velocity_by_its_strength(scheme):
+    case, made = build("standing_wave", scheme, 0.1, ["alpha=0.03", "drift_free=true", "floor=mirror"])
+    assert made.name == f"stochastic {scheme}" and case.box.mirror == 1
+    assert isinstance(made.noise, DriftFreeVelocity) and float(made.noise.alpha) == pytest.approx(0.03)
+    assert isinstance(build("standing_wave", scheme, 0.1, ["alpha=0.03"])[1].noise, StochasticVelocity)
+    with pytest.raises(ValueError, match="alpha must be between 0 and 1, got 2"):
+        build("standing_wave", scheme, 0.1, ["alpha=2"])
 
 
 def test_the_case_gets_the_ratio_of_the_scheme():
