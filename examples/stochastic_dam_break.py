@@ -35,16 +35,25 @@ def sloshing(run: mps.Run) -> np.ndarray:
 
 
 def disappeared(run: mps.Run, least: float = 2.0) -> float:
-    """The last time [s] at which the sloshing is `least` spacings high, or that of the end if it still is."""
-    high = np.flatnonzero(np.abs(sloshing(run)) > least * run.spacing)
-    return float(run.time[high[-1]]) if len(high) else 0.0
+    """The time [s] at which the amplitude of the sloshing falls under `least` spacings for good, or that of the end.
+
+    The amplitude is the size of the extremes, to both sides, and between them falls exponentially.
+    """
+    size, limit = np.abs(sloshing(run)), least * run.spacing
+    extremes = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
+    high = np.flatnonzero(size[extremes] > limit)
+    if not len(high) or high[-1] + 1 == len(extremes):
+        return float(run.time[-1]) if len(high) else 0.0
+    before, after = extremes[high[-1]], extremes[high[-1] + 1]
+    part = np.log(size[before] / limit) / np.log(size[before] / size[after])
+    return float(run.time[before] + part * (run.time[after] - run.time[before]))
 
 
 def table(runs: dict[float, list[mps.Run]]) -> dict[float, list[float]]:
     """Prints when the wave disappears and what energy is left; gives these times."""
     times = {alpha: [disappeared(run) for run in several] for alpha, several in runs.items()}
     end = next(iter(runs.values()))[0].time[-1]
-    print("\nmean over the seeds and its 95 % interval; the last time at which the sloshing is 2 l0 high")
+    print("\nmean over the seeds and its 95 % interval; the time at which the sloshing falls under 2 l0")
     print("   alpha     disappeared [s]    energy at the end [J/kg]   given     lost  left  highest [m]")
     for alpha, several in runs.items():
         when = members.interval(times[alpha])
@@ -120,6 +129,9 @@ def main(
         # The paper's warning takes a moment to show.
         runs[alpha] = members.batch(case, scheme, seeds, min(until, 1.5) if alpha == WARNED else until, save_every)
         members.store(path, runs[alpha])
+    for alpha, several in runs.items():
+        for run in several:
+            run.metadata["scheme"]["name"] = f"α = {alpha:g}"
     warned = runs.pop(WARNED)
     times = table(runs)
     table({WARNED: warned})

@@ -1,5 +1,6 @@
 """A case: everything about a flow that is not a numerical method."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -44,6 +45,15 @@ class Case(eqx.Module):
                 f"{self.fluids.density.shape} and {self.fluids.viscosity.shape}"
             )
         _check_values(self)
+
+    def undescribed(self) -> "Case":
+        """Without `name` and `parameters`: cases that differ in these alone share what is compiled for one of them."""
+        bare = object.__new__(Case)  # not checked again: under a transformation that is not possible
+        for field in dataclasses.fields(self):
+            object.__setattr__(bare, field.name, getattr(self, field.name))
+        object.__setattr__(bare, "name", "custom")
+        object.__setattr__(bare, "parameters", ())
+        return bare
 
     @property
     def dim(self) -> int:

@@ -41,7 +41,7 @@ class Loop:
     """The host's loop: chunks of compiled steps, with repair of the neighbor table in between."""
 
     def __init__(self, case: Case, scheme: Scheme, state: State, dt: Scalar | None, key: Array):
-        self.case, self.scheme, self.state, self.dt, self.key = case, scheme, state, dt, key
+        self.case, self.scheme, self.state, self.dt, self.key = case.undescribed(), scheme, state, dt, key
         self.log = empty_log(case.dim)
         self._noted: tuple[Event, ...] = ()
         self._chunk, self._largest = 16, jnp.zeros_like(state.time)

@@ -43,7 +43,7 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
         capacity = usual_capacity(scheme.ratio + skin, case.dim)
     radius = scheme.ratio * case.spacing
     neighbors = allocate(case.particles.position, case.box, radius, skin * case.spacing, capacity)
-    n, surface = _first_look(case, scheme, neighbors)
+    n, surface = _first_look(case.undescribed(), scheme, neighbors)
     return State(
         particles=case.particles,
         neighbors=neighbors,
@@ -77,7 +77,7 @@ def rollout(
     capacity of the list is that of `start`: look for `Status.TABLE_FULL` in `info.status`.
     """
     key = jax.random.key(0) if key is None else key
-    return _scan(case, scheme, start, None if dt is None else jnp.asarray(dt, float), key, steps)
+    return _scan(case.undescribed(), scheme, start, None if dt is None else jnp.asarray(dt, float), key, steps)
 
 
 def _rollout(case, scheme, start, dt, key, steps):

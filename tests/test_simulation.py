@@ -145,6 +145,23 @@ def test_a_rollout_is_compiled_once_for_all_values_of_the_scheme():
     assert len(compiled) == 1 and len({float(r) for r in results}) == 3
 
 
+def test_cases_that_differ_in_their_description_share_what_is_compiled():
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: compiled.append(event))
+    case, scheme = dam(), mps.schemes.mps()
+    ends = []
+    for name in ("first", "second"):
+        compiled.clear()
+        named = dataclasses.replace(case, name=name, parameters=(("name", name),))
+        run = mps.simulate(named, scheme, until=0.01, save_every=0.01)
+        state, _ = mps.rollout(named, scheme, mps.start(named, scheme), steps=2)
+        ends.append((run.position[-1], state.particles.position))
+        assert run.metadata["case"]["name"] == name
+    assert not any("backend_compile" in event for event in compiled)
+    np.testing.assert_array_equal(ends[0][0], ends[1][0])
+    np.testing.assert_array_equal(ends[0][1], ends[1][1])
+
+
 def test_rollouts_run_under_vmap():
     case = dam()
     start = mps.start(case, mps.schemes.mps())
@@ -216,8 +233,8 @@ def test_a_period_shorter_than_two_radii_is_refused():
 class Runaway(AbstractVelocityNoise):
     """Every step triples the speed: the Courant limit shrinks the time step to nothing."""
 
-    def __call__(self, velocity, key):
-        return 3.0 * velocity
+    def __call__(self, velocity, loss, mass, periodic, key):
+        return 2.0 * velocity
 
 
 def test_a_run_whose_time_step_collapses_ends_and_names_the_fastest_particle():
