@@ -1,6 +1,6 @@
 """The standing wave of Naa, Omata & Kazama 2011, §5.2: their Figs. 9, 10 and 11, and what other schemes make of it.
 
-python examples/standing_wave.py [--out DIR] [--reuse]
+python examples/standing_wave.py [--out DIR] [--seeds N] [--reuse]
 
 Standard MPS and stochastic MPS with α = 0.02, 0.03, 0.04, published and free of drift, and MPS-HS-GC-DS and
 MPS-CD-GC-DS with and without the stochastic velocity, five seeds each. With --reuse the runs are read from the files of
@@ -219,6 +219,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="out/standing_wave")
     parser.add_argument("--floor", default="mirror", choices=("mirror", "wall"))
+    parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--reuse", action="store_true")
     arguments = parser.parse_args()
-    main(floor=arguments.floor, out=arguments.out, reuse=arguments.reuse)
+    main(floor=arguments.floor, out=arguments.out, seeds=range(arguments.seeds), reuse=arguments.reuse)

@@ -1,6 +1,6 @@
 """The dam break of Naa, Omata & Kazama 2011, §5.1, over 15 s: their Figs. 6 and 7.
 
-python examples/stochastic_dam_break.py [--out DIR] [--reuse]
+python examples/stochastic_dam_break.py [--out DIR] [--seeds N] [--reuse]
 
 Basic MPS and stochastic MPS with α = 0.0009, 0.001 and 0.003, five seeds each, and α = 0.2, which the paper warns of.
 With --reuse the runs are read from the files of an earlier call.
@@ -143,6 +143,7 @@ if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="out/stochastic_dam_break")
+    parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--reuse", action="store_true")
     arguments = parser.parse_args()
-    main(out=arguments.out, reuse=arguments.reuse)
+    main(out=arguments.out, seeds=range(arguments.seeds), reuse=arguments.reuse)

@@ -109,9 +109,8 @@ def fit_cosine(
     design = np.concatenate([np.ones_like(x)[..., None], np.cos(turn), np.sin(turn)], axis=-1)
     coefficients, _ = _least_squares(design, y, there)
     mean, cosine, sine = coefficients[..., 0], coefficients[..., 1 : modes + 1], coefficients[..., modes + 1 :]
-    crest = (
-        np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0 % 1.0 * length / mode
-    )  # the first of a tiny negative turn is 1
+    turns = np.arctan2(sine, cosine) / (2.0 * np.pi) % 1.0 % 1.0  # of a tiny negative one the first % 1 makes 1
+    crest = turns * length / mode
     center = mean + np.sum(cosine * (-1.0) ** mode, axis=-1)
     return Cosine(np.asarray(mean), np.hypot(cosine, sine), crest, np.asarray(center))
 
