@@ -121,7 +121,7 @@ def figures(runs: dict[str, list[mps.Run]], waves: dict[str, list[Any]], out: Pa
     out.mkdir(parents=True, exist_ok=True)
     _height(waves).savefig(out / "height.png", dpi=140)
     _energy(runs).savefig(out / "energy.png", dpi=140)
-    _surface(runs["basic"][0]).savefig(out / "surface.png", dpi=140)
+    _surface(next(iter(runs.values()))[0]).savefig(out / "surface.png", dpi=140)
 
 
 def _height(waves: dict[str, list[Any]]) -> Figure:
@@ -129,6 +129,7 @@ def _height(waves: dict[str, list[Any]]) -> Figure:
     figure = Figure(figsize=(9, 6.4), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True, sharey=True)
     time, nonlinear = mps.cases.standing_wave_reference()[:, :2].T
+    end = next(iter(waves.values()))[0].time[-1]
     groups = (("basic", "alpha 0.04"), ("HS-GC-DS", "CD-GC-DS", "CD-GC-DS, alpha 0.04"))
     for ax, names in zip(axes, groups, strict=True):
         ax.plot(time, nonlinear, color="k", lw=1.4, label="nonlinear")
@@ -141,7 +142,7 @@ def _height(waves: dict[str, list[Any]]) -> Figure:
             ax.fill_between(
                 waves[name][0].time, np.nanmin(center, axis=0), np.nanmax(center, axis=0), color=color, alpha=0.25
             )
-        ax.set(ylabel="elevation at the center [m]", xlim=(0.0, waves[names[0]][0].time[-1]))
+        ax.set(ylabel="elevation at the center [m]", xlim=(0.0, end))
         ax.legend(ncols=4, fontsize=8, loc="upper right")
     axes[-1].set(xlabel="t [s]")
     return figure

@@ -41,6 +41,7 @@ def disappeared(run: mps.Run, least: float = 2.0) -> float:
     """
     size, limit = np.abs(sloshing(run)), least * run.spacing
     extremes = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
+    extremes = np.concatenate([[0], extremes])
     high = np.flatnonzero(size[extremes] > limit)
     if not len(high) or high[-1] + 1 == len(extremes):
         return float(run.time[-1]) if len(high) else 0.0

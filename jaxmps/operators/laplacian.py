@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmps._vectors import joined
+from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
 from jaxmps.pairs import Pairs
 
@@ -57,8 +57,11 @@ def laplacian(
 ) -> Float[Array, "n *components"]:
     """⟨∇²φ⟩_i = (2 D / (λ n0)) Σ_j (φ_j − φ_i) w_ij ([N11] Eq. 7), λ in m².
 
-    Exact for a paraboloid on a full lattice. Pairs that shall not count get the weight zero.
+    Exact for a paraboloid on a full lattice. Pairs that shall not count get the weight zero. A field of components is a
+    vector: at a mirror it is mirrored.
     """
+    if phi.ndim > 2:
+        return joined(tuple(laplacian(x, pairs, w, n0, lam) for x in components(phi)))
     differences = pairs.between(phi) if phi.ndim > 1 else (pairs.at_j(phi) - phi[:, None],)
     c = kernel_coefficient(w, n0, lam, pairs.dim)
     sums = tuple(jnp.sum(c * difference, axis=-1) for difference in differences)
