@@ -24,6 +24,14 @@ import pytest
 jaxtyping.install_import_hook("jaxmps", "beartype.beartype")
 
 
+@pytest.fixture(autouse=True, scope="session")
+def in_a_hurry() -> None:
+    """Programs are compiled in a third of the time; see `hasty.with_care` for those that should not."""
+    import hasty  # imports the package, which is to be checked
+
+    hasty.hurry()
+
+
 @pytest.fixture(autouse=True)
 def precision(request: pytest.FixtureRequest) -> Iterator[str]:
     """ "double" unless a test is parametrized otherwise; JAX is set accordingly while the test runs."""

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from hasty import quick
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import cKDTree
 
@@ -23,29 +24,6 @@ from jaxmps.pressure import PressureEquation
 from jaxmps.stepping import Prediction, density_and_surface, pressure_equation
 
 RATIO = 2.1
-
-
-@functools.cache
-def _options():
-    """What the compiler does not have to do, as far as this release of it knows the options."""
-    unoptimized = {"xla_backend_optimization_level": 0}
-    for options in ({**unoptimized, "xla_cpu_use_fusion_emitters": False}, unoptimized):
-        try:
-            jax.jit(lambda x: x + 1, compiler_options=options)(1)
-        except Exception:  # the type of the error differs from release to release
-            continue
-        return options
-    return None
-
-
-def quick(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`eqx.filter_jit` that compiles in a third of the time: what these tests compute takes milliseconds."""
-
-    @functools.cache
-    def compiled():
-        return eqx.filter_jit(function, compiler_options=_options())  # type: ignore[call-overload]
-
-    return lambda *arguments: compiled()(*arguments)
 
 
 def per_precision(function: Callable[..., Any]) -> Callable[..., Any]:

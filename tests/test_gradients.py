@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hasty import quick
 
 import jaxmps
 from jaxmps import cases, schemes
@@ -97,8 +98,8 @@ def problem(tolerance: float) -> SimpleNamespace:
 def double():
     jax.config.update("jax_enable_x64", True)  # module fixtures come before the one that sets it for each test
     p = problem(tolerance=1e-13)
-    (_, p.end), p.gradient = jax.jit(jax.value_and_grad(p.loss, has_aux=True))(p.values)
-    p.forward = jax.jit(lambda v, t: jax.jvp(lambda x: p.loss(x)[0], (v,), (t,)))
+    (_, p.end), p.gradient = quick(jax.value_and_grad(p.loss, has_aux=True))(p.values)
+    p.forward = quick(lambda v, t: jax.jvp(lambda x: p.loss(x)[0], (v,), (t,)))
     return p
 
 
@@ -155,7 +156,7 @@ def test_thresholds_and_unused_limits_have_no_derivative(double, name):
 def test_single_precision_gives_the_derivatives_of_double(double, precision):
     single = problem(tolerance=1e-6)
     assert single.values["velocity"].dtype == jnp.float32
-    gradient = jax.jit(jax.grad(single.loss, has_aux=True))(single.values)[0]
+    gradient = quick(jax.grad(single.loss, has_aux=True))(single.values)[0]
     for name in LEAVES:
         found, expected = np.asarray(gradient[name], float), np.asarray(double.gradient[name])
         assert np.all(np.isfinite(found)), name
@@ -175,7 +176,7 @@ def test_derivatives_of_a_run_from_rest_are_finite():
         return jnp.sum(end.particles.position**2) + jnp.sum(end.particles.velocity)
 
     velocity = start.particles.velocity
-    found = jax.jit(jax.grad(loss, argnums=(0, 1, 2)))(scheme, case.gravity, velocity)
+    found = quick(jax.grad(loss, argnums=(0, 1, 2)))(scheme, case.gravity, velocity)
     for leaf in jax.tree.leaves(found):
         assert np.all(np.isfinite(leaf))
     assert float(found[0].time_step.gravity_limit) != 0.0

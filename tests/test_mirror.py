@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flows import quick
+from hasty import quick
 
 import jaxmps as mps
 from jaxmps.neighbors import allocate, pairs

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flows import quick
+from hasty import quick
 
 from jaxmps import Box
 from jaxmps.multigrid import Grid, cover, multigrid

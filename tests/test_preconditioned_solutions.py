@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flows import TORUS, Flow, equation, flow, look_up, made, quick, right_hand_side, with_more
+from flows import TORUS, Flow, equation, flow, look_up, made, right_hand_side, with_more
+from hasty import quick
 from jaxtyping import Array
 
 from jaxmps import Kind, State, rollout, schemes

@@ -6,19 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flows import (
-    PRODUCTS,
-    Counted,
-    Flow,
-    flow,
-    look_up,
-    per_precision,
-    quick,
-    right_hand_side,
-    set_up,
-    set_up_as_found,
-    spray,
-)
+from flows import PRODUCTS, Counted, Flow, flow, look_up, per_precision, right_hand_side, set_up, set_up_as_found, spray
+from hasty import quick
 from jaxtyping import Array, Bool
 
 from jaxmps.linear import AbstractPreconditioner, Jacobi, solve

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hasty import quick
 
 import jaxmps
 from jaxmps import cases, schemes
@@ -58,7 +59,7 @@ def problem(name: str) -> SimpleNamespace:
         value = jnp.sum(weights[0] * end.position) / 0.1 + jnp.sum(weights[1] * end.velocity)
         return value + jnp.sum(weights[1, :, 0] * end.pressure) / 1e4, (state, info)
 
-    reverse = jax.jit(jax.value_and_grad(loss, has_aux=True))
+    reverse = quick(jax.value_and_grad(loss, has_aux=True))
     (_, end), gradient = reverse(values)
     return SimpleNamespace(values=values, loss=loss, reverse=reverse, end=end, gradient=gradient, lattice=lattice)
 
@@ -103,7 +104,7 @@ def test_reverse_mode_is_central_differences(name, leaf):
 
 def test_forward_mode_is_reverse_mode():
     p = problem("mps_cd_gc_ds")
-    forward = jax.jit(lambda v, t: jax.jvp(lambda x: p.loss(x)[0], (v,), (t,))[1])
+    forward = quick(lambda v, t: jax.jvp(lambda x: p.loss(x)[0], (v,), (t,))[1])
     for leaf in LEAVES["mps_cd_gc_ds"]:
         tangent = along(p, leaf)
         assert float(forward(p.values, tangent)) == pytest.approx(slope(p, tangent), rel=1e-8), leaf

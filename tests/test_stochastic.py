@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flows import quick
+from hasty import quick
 from jax import random
 from scipy.stats import kstest
 
