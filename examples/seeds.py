@@ -92,6 +92,19 @@ def _run(case: mps.Case, scheme: mps.Scheme, columns: dict[str, np.ndarray], mem
     return mps.Run(**fields, phase=phase, density=density, spacing=case.spacing, metadata=metadata, summary=summary)
 
 
+def kept(
+    path: Path, case: mps.Case, scheme: mps.Scheme, seeds: Sequence[int], until: float, save_every: float, reuse: bool
+) -> list[mps.Run]:
+    """The runs of a `batch`, kept in a file. With `reuse` those that are there already are not run again: the first so
+    many of `seeds`.
+    """
+    runs = load(path, case)[: len(seeds)] if reuse and path.exists() else []
+    if missing := seeds[len(runs) :]:
+        runs = runs + batch(case, scheme, missing, until, save_every)
+        store(path, runs)
+    return runs
+
+
 def store(path: Path, runs: Sequence[mps.Run]) -> None:
     """Keeps what the figures need of the runs, for `--reuse`."""
     names = [

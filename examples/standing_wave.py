@@ -3,8 +3,8 @@
 python examples/standing_wave.py [--out DIR] [--seeds N] [--reuse]
 
 Standard MPS and stochastic MPS with α = 0.02, 0.03, 0.04, published and free of drift, and MPS-HS-GC-DS and
-MPS-CD-GC-DS with and without the stochastic velocity, five seeds each. With --reuse the runs are read from the files of
-an earlier call.
+MPS-CD-GC-DS with and without the stochastic velocity, five seeds each. With --reuse the runs of an earlier call are
+read from its files, and only seeds that are missing there are run.
 """
 
 import argparse
@@ -204,11 +204,7 @@ def main(
         if names is not None and name not in names:
             continue
         path = Path(out) / f"{name.replace(', ', '_').replace(' ', '_')}.npz"
-        if reuse and path.exists():
-            runs[name] = members.load(path, case)
-        else:
-            runs[name] = members.batch(case, scheme, seeds, until, save_every)
-            members.store(path, runs[name])
+        runs[name] = members.kept(path, case, scheme, seeds, until, save_every, reuse)
     waves = {name: [fit(run) for run in several] for name, several in runs.items()}
     measured = compare(runs, waves)
     figures(runs, waves, Path(out))

@@ -1,9 +1,9 @@
 """The dam break of Naa, Omata & Kazama 2011, §5.1, over 15 s: their Figs. 6 and 7.
 
-python examples/stochastic_dam_break.py [--out DIR] [--seeds N] [--reuse]
+python examples/stochastic_dam_break.py [--out DIR] [--seeds N] [--alphas A ...] [--reuse]
 
 Basic MPS and stochastic MPS with α = 0.0009, 0.001 and 0.003, five seeds each, and α = 0.2, which the paper warns of.
-With --reuse the runs are read from the files of an earlier call.
+With --reuse the runs of an earlier call are read from its files, and only seeds that are missing there are run.
 """
 
 import argparse
@@ -123,13 +123,10 @@ def main(
     case, runs = mps.cases.dam_break(spacing=spacing), {}
     for alpha in (*alphas, WARNED):
         path = Path(out) / f"alpha_{alpha:g}.npz"
-        if reuse and path.exists():
-            runs[alpha] = members.load(path, case)
-            continue
         scheme = mps.schemes.stochastic(mps.schemes.mps(), alpha=alpha)
         # The paper's warning takes a moment to show.
-        runs[alpha] = members.batch(case, scheme, seeds, min(until, 1.5) if alpha == WARNED else until, save_every)
-        members.store(path, runs[alpha])
+        end = min(until, 1.5) if alpha == WARNED else until
+        runs[alpha] = members.kept(path, case, scheme, seeds, end, save_every, reuse)
     for alpha, several in runs.items():
         for run in several:
             run.metadata["scheme"]["name"] = f"α = {alpha:g}"
@@ -145,6 +142,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="out/stochastic_dam_break")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--alphas", type=float, nargs="+", default=ALPHAS)
     parser.add_argument("--reuse", action="store_true")
     arguments = parser.parse_args()
-    main(out=arguments.out, seeds=range(arguments.seeds), reuse=arguments.reuse)
+    main(out=arguments.out, seeds=range(arguments.seeds), alphas=arguments.alphas, reuse=arguments.reuse)

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from jaxmps import schemes as schemes
     from jaxmps.box import Box as Box
     from jaxmps.case import Case as Case
+    from jaxmps.estimators import AbstractEstimator as AbstractEstimator
+    from jaxmps.estimators import Evolution as Evolution
+    from jaxmps.estimators import Forward as Forward
+    from jaxmps.estimators import Pathwise as Pathwise
     from jaxmps.io import read as read
     from jaxmps.monitor import StepInfo as StepInfo
     from jaxmps.particles import Fluid as Fluid
@@ -19,7 +23,6 @@ if TYPE_CHECKING:
     from jaxmps.particles import Particles as Particles
     from jaxmps.run import Run as Run
     from jaxmps.scheme import Scheme as Scheme
-    from jaxmps.simulation import rollout as rollout
     from jaxmps.simulation import simulate as simulate
     from jaxmps.simulation import start as start
     from jaxmps.status import Outcome as Outcome
@@ -28,6 +31,9 @@ if TYPE_CHECKING:
     from jaxmps.status import Status as Status
     from jaxmps.stepping import State as State
     from jaxmps.stepping import step as step
+    from jaxmps.tuning import History as History
+    from jaxmps.tuning import tune as tune
+    from jaxmps.unrolling import rollout as rollout
 
 __version__ = "0.1.0"
 
@@ -38,13 +44,16 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "box": ["Box"],
         "case": ["Case"],
+        "estimators": ["AbstractEstimator", "Evolution", "Forward", "Pathwise"],
         "io": ["read"],
         "monitor": ["StepInfo"],
         "particles": ["Fluid", "Kind", "Particles"],
         "run": ["Run"],
         "scheme": ["Scheme"],
-        "simulation": ["rollout", "simulate", "start"],
+        "simulation": ["simulate", "start"],
         "status": ["Outcome", "SimulationError", "SimulationWarning", "Status"],
         "stepping": ["State", "step"],
+        "tuning": ["History", "tune"],
+        "unrolling": ["rollout"],
     },
 )

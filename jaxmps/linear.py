@@ -7,10 +7,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.sparse.linalg import cg
 from jaxtyping import Array, Float
 
 from jaxmps._types import Scalar
+
+SOLUTION = "solution"
+"""The name of solutions, for policies of `jax.checkpoint`."""
 
 
 class AbstractOperator(eqx.Module):
@@ -100,7 +104,8 @@ def _solve(operator, b, guess, preconditioner, tolerance, max_iterations):
 def _solve_jvp(tolerance, max_iterations, primals, tangents):
     operator, b, guess, preconditioner = primals
     d_operator, d_b, _, _ = tangents
-    x = _solve(operator, b, guess, preconditioner, tolerance, max_iterations)
+    # Named: what is computed again in a step of the reverse mode need not be solved again.
+    x = checkpoint_name(_solve(operator, b, guess, preconditioner, tolerance, max_iterations), SOLUTION)
     _, d_product = jax.jvp(lambda a: a @ x, (operator,), (d_operator,))
 
     def scaled_cg(matvec, rhs):

@@ -1,12 +1,12 @@
-"""The progress bar of a run: time, Δt, speed, simulated seconds per wall second, and the expected end."""
+"""Progress bars of runs (time, Δt, speed, simulated seconds per wall second) and of tuning, with the expected end."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
 class Meter:
@@ -30,21 +30,46 @@ class Meter:
 @contextmanager
 def meter(until: float, visible: bool | None) -> Iterator[Meter]:
     """A `Meter` up to the time `until` [s]; by default visible on a terminal and in notebooks."""
-    console = Console(file=sys.stderr) if "ipykernel" not in sys.modules else Console()
-    if visible is None:
-        visible = console.is_terminal or console.is_jupyter
-    if not visible:
-        yield Meter(None, until)
-        return
     columns = [
-        BarColumn(24),
         TextColumn("t {task.fields[t]:.3f} s of {task.total:g}"),
         TextColumn("Δt {task.fields[dt]:.2e} s"),
         TextColumn("u {task.fields[speed]:.2f} m/s"),
         TextColumn("{task.fields[rate]:.3g} s/s"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
     ]
-    with Progress(*columns, console=console, transient=True) as progress:
+    with _bar(columns, visible) as progress:
         yield Meter(progress, until)
+
+
+@contextmanager
+def tally(steps: int, visible: bool | None) -> Iterator[Callable[[int, float, float], None]]:
+    """A function of the number of steps taken, the loss and the norm of its gradient, which shows them."""
+    columns = [
+        TextColumn("step {task.completed:g} of {task.total:g}"),
+        TextColumn("loss {task.fields[loss]:.4g}"),
+        TextColumn("|gradient| {task.fields[norm]:.3g}"),
+    ]
+    with _bar(columns, visible) as progress:
+        if progress is None:
+            yield lambda taken, loss, norm: None
+            return
+        task = progress.add_task("", total=steps, loss=float("nan"), norm=float("nan"))
+
+        def show(taken: int, loss: float, norm: float) -> None:
+            shown: dict[str, Any] = {"loss": loss, "norm": norm}
+            progress.update(task, completed=taken, **shown)
+
+        yield show
+
+
+@contextmanager
+def _bar(columns: Sequence[ProgressColumn], visible: bool | None) -> Iterator[Progress | None]:
+    """A bar with these columns and the time that is left; None if it is not visible."""
+    console = Console(file=sys.stderr) if "ipykernel" not in sys.modules else Console()
+    if visible is None:
+        visible = console.is_terminal or console.is_jupyter
+    if not visible:
+        yield None
+        return
+    every = [BarColumn(24), *columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()]
+    with Progress(*every, console=console, transient=True) as progress:
+        yield progress

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from jaxmps._compilation import jit
-from jaxmps._types import ArrayLike, Scalar
+from jaxmps._types import Scalar
 from jaxmps.case import Case
 from jaxmps.loop import Loop
-from jaxmps.monitor import StepInfo
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
@@ -21,7 +20,7 @@ from jaxmps.recorder import Recorder
 from jaxmps.run import Run
 from jaxmps.scheme import Scheme
 from jaxmps.status import FATAL, SimulationWarning, Status
-from jaxmps.stepping import State, density_and_surface, largest_step, step
+from jaxmps.stepping import State, density_and_surface, largest_step
 from jaxmps.validation import positive
 
 
@@ -60,35 +59,6 @@ def _first_look(case: Case, scheme: Scheme, neighbors: Neighbors) -> tuple[Array
     near = pairs(neighbors, case.particles, case.spacing)
     w = pair_weight(near, scheme.ratio * case.spacing)
     return density_and_surface(case, scheme, case.particles, near, w)
-
-
-def rollout(
-    case: Case,
-    scheme: Scheme,
-    start: State,
-    *,
-    steps: int,
-    dt: ArrayLike | None = None,
-    key: Key[Array, ""] | None = None,
-) -> tuple[State, StepInfo]:
-    """The state after a fixed number of steps, and the `StepInfo` of each: pure, for grad, vmap and jit.
-
-    `dt` [s], by default the largest that the scheme allows at each step. The key of step k is `fold_in(key, k)`. The
-    capacity of the list is that of `start`: look for `Status.TABLE_FULL` in `info.status`.
-    """
-    key = jax.random.key(0) if key is None else key
-    return _scan(case.undescribed(), scheme, start, None if dt is None else jnp.asarray(dt, float), key, steps)
-
-
-def _rollout(case, scheme, start, dt, key, steps):
-    def body(state: State, _):
-        largest = largest_step(case, scheme, state.particles) if dt is None else dt
-        return step(case, scheme, state, largest, jax.random.fold_in(key, state.step))
-
-    return jax.lax.scan(body, start, None, length=steps)
-
-
-_scan = jit(_rollout, static_argnums=(5,))
 
 
 def simulate(

@@ -21,6 +21,13 @@ def number(name: str, value: Any, unit: str = "") -> Any:
     return float(array)
 
 
+def whole(name: str, value: Any, *, least: int) -> int:
+    """`value` as an int of `least` or more, else `ValueError`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{name} must be a whole number of {least} or more, got {_show(value, '')}")
+    return int(value)
+
+
 def positive(name: str, value: Any, unit: str = "") -> Any:
     """`value` as a finite float above zero, else `ValueError`."""
     return _obey(name, value, unit, lambda x: x > 0.0, "greater than zero")
