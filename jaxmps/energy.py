@@ -16,7 +16,7 @@ class Energy(NamedTuple):
     potential: Scalar
 
     @property
-    def total(self) -> Scalar:
+    def total(self) -> Float[Array, "*steps"]:
         return self.kinetic + self.potential
 
 

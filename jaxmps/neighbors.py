@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxmps._compilation import jit
+from jaxmps._compilation import cotangent_once, jit
 from jaxmps._search import ball, search, window_size
 from jaxmps._vectors import components, dot, take
 from jaxmps.box import Box
@@ -118,7 +118,7 @@ def pairs(neighbors: Neighbors, particles: Particles, spacing: float) -> Pairs:
     at_j = [take(x, j) for x in components(position)]
     if mirror is not None and image is not None:
         at_j[mirror] = jnp.where(image, 2.0 * neighbors.box.lower[mirror] - at_j[mirror], at_j[mirror])
-    apart = (there - x[:, None] for there, x in zip(at_j, components(position), strict=True))
+    apart = (cotangent_once(there - x[:, None]) for there, x in zip(at_j, components(position), strict=True))
     r_ij = tuple(neighbors.box.nearest(axis, x) for axis, x in enumerate(apart))
     squared = dot(r_ij, r_ij)
     active = particles.kind != Kind.REMOVED

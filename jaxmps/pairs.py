@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from jaxmps._compilation import cotangent_once
 from jaxmps._vectors import Vectors, components, joined, take
 
 
@@ -50,7 +51,7 @@ class Pairs(eqx.Module):
         at_j = [self.at_j(c) for c in components(x)]
         if self.mirror is not None and self.image is not None:
             at_j[self.mirror] = jnp.where(self.image, -at_j[self.mirror], at_j[self.mirror])
-        return tuple(there - c[:, None] for there, c in zip(at_j, components(x), strict=True))
+        return tuple(cotangent_once(there - c[:, None]) for there, c in zip(at_j, components(x), strict=True))
 
     def along(self, factor: Float[Array, "n k"]) -> Float[Array, "n d"]:
         """Σ_j f_ij r_ij.

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar, overload
 
 import jax
@@ -98,8 +99,11 @@ def _rollout(case, scheme, start, dt, key, steps, record, segment, window):
         state, info = step(case, scheme, state, largest, jax.random.fold_in(key, state.step))
         return state, (info, None if record is None else record(state))
 
-    kept = jax.checkpoint_policies.save_only_these_names(SOLUTION)
-    one = jax.checkpoint(one, policy=kept, prevent_cse=False)  # scans need no protection of common subexpressions
+    # Solutions are kept, of all steps: to solve again takes more time than all the rest. Scans need no protection from
+    # the elimination of common subexpressions.
+    solved = jax.checkpoint_policies.save_only_these_names(SOLUTION)
+    once_more = partial(jax.checkpoint, policy=solved, prevent_cse=False)
+    one = once_more(one)
 
     def several(state: State, numbers: Array) -> tuple[State, Any]:
         return jax.lax.scan(one, state, numbers)
@@ -107,7 +111,7 @@ def _rollout(case, scheme, start, dt, key, steps, record, segment, window):
     numbers = jnp.arange(steps)
     whole_segments, rest = divmod(steps, segment)
     first = numbers[: steps - rest].reshape(whole_segments, segment)
-    state, told = jax.lax.scan(jax.checkpoint(several, prevent_cse=False), start, first)
+    state, told = jax.lax.scan(several if segment == steps else once_more(several), start, first)
     told = jax.tree.map(lambda x: x.reshape(steps - rest, *x.shape[2:]), told)
     if rest:
         state, more = several(state, numbers[steps - rest :])

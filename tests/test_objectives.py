@@ -73,12 +73,13 @@ def test_smallest_distance_is_that_of_the_closest_pair(patch):
 def test_front_position_is_the_surge_front_of_a_straight_front():
     case = mps.cases.dam_break(spacing=SPACING)
     state = mps.start(case, mps.schemes.mps())
-    assert float(diagnostics.front_position(case, state)) == pytest.approx(0.5, abs=1e-3 * SPACING)
+    # The next column, one spacing behind, counts e⁻⁴ as much.
+    assert float(diagnostics.front_position(case, state)) == pytest.approx(0.5, abs=0.03 * SPACING)
 
 
 def test_elevation_of_a_wave_is_its_depth_and_its_mean_is_exact(wave):
     case, state = wave
-    x = np.linspace(0.0, 1.0, 41)
+    x = np.linspace(0.0, 1.0, 51)  # every spacing: the kernels then add up to one
     found = np.asarray(diagnostics.elevation(case, state, x))
     expected = 1.0 / 3.0 + 0.07 * np.cos(2.0 * np.pi * (x - 0.5))
     # Columns of whole particles; the kernel is as wide as 12 spacings and so lowers the crest by 2 %.
