@@ -43,6 +43,7 @@ SIZES = {
     "240k-3d": Size(mps.cases.dam_break_3d, 0.0073, 4, 5, 3),
 }
 QUICK = ("2k", "8k")
+GRADIENT_STEPS = 200
 GRADIENTS, ENSEMBLES = ("2k", "8k"), ("2k",)
 REAL_SPLASH = (0.6, 1.2)
 """Times [s] at which a run at the smallest size is looked at."""
@@ -88,7 +89,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with jax.enable_x64(True):
         table.head(table.GRADIENT)
         for name in filter(runs.__contains__, GRADIENTS):
-            report.add("gradient", table.GRADIENT, variants.gradient(runs[name][0].flow, 3))
+            report.add(
+                "gradient", table.GRADIENT, variants.gradient(runs[name][0].flow, GRADIENT_STEPS, 3)
+            )
         table.head(table.ENSEMBLE)
         for name in filter(runs.__contains__, ENSEMBLES):
             run = runs[name][0]

@@ -42,6 +42,7 @@ SOLVE = {
 GRADIENT = {
     "case": Column("gradient", "{}", -24),
     "particles": Column("particles", "{}", 9),
+    "steps": Column("steps", "{}", 6),
     "forward_ms_per_step": Column("forward ms/step", "{:.2f}", 15),
     "value_and_grad_ms_per_step": Column("with gradient", "{:.2f}", 13),
     "relative": Column("times as long", "{:.2f}", 13),

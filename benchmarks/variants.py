@@ -11,14 +11,14 @@ import jaxmps as mps
 from benchmarks.states import Flow
 from benchmarks.timing import compiled, medians
 
-GRADIENT_STEPS, MEMBERS = 5, 8
+MEMBERS = 8
 
 
-def gradient(flow: Flow, turns: int) -> dict[str, Any]:
-    """Time of the mean square velocity after five steps with its gradient in the velocities, and without."""
+def gradient(flow: Flow, steps: int, turns: int) -> dict[str, Any]:
+    """Time of the mean square velocity after so many steps with its gradient in the velocities, and without."""
 
     def energy(velocity: Float[Array, "n d"], case: mps.Case, scheme: mps.Scheme, state: mps.State) -> Array:
-        return jnp.mean(_after(velocity, case, scheme, state, GRADIENT_STEPS).particles.velocity ** 2)
+        return jnp.mean(_after(velocity, case, scheme, state, steps).particles.velocity ** 2)
 
     arguments = (flow.state.particles.velocity, *flow[1:])
     forward = compiled(energy, *arguments)
@@ -29,9 +29,9 @@ def gradient(flow: Flow, turns: int) -> dict[str, Any]:
     plain, with_gradient = medians([lambda: forward(*arguments), lambda: both(*arguments)], turns)
     return {
         **_flow(flow),
-        "steps": GRADIENT_STEPS,
-        "forward_ms_per_step": 1e3 * plain / GRADIENT_STEPS,
-        "value_and_grad_ms_per_step": 1e3 * with_gradient / GRADIENT_STEPS,
+        "steps": steps,
+        "forward_ms_per_step": 1e3 * plain / steps,
+        "value_and_grad_ms_per_step": 1e3 * with_gradient / steps,
         "relative": with_gradient / plain,
         "peak_bytes_per_particle": both.memory / len(flow.case.particles.kind),
         "compile_s": both.seconds,

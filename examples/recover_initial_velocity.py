@@ -97,7 +97,7 @@ def figure(found: dict[str, Found], case: mps.Case, truth: Any) -> Figure:
 
 
 def main(
-    spacing: float = 0.04, until: float = 0.4, updates: int = 150, out: str = "out/recover_initial_velocity"
+    spacing: float = 0.05, until: float = 0.2, updates: int = 200, out: str = "out/recover_initial_velocity"
 ) -> dict[str, Found]:
     """Solves both problems, prints the errors and draws them."""
     case = mps.cases.square_patch(spacing=spacing, angular_velocity=OMEGA)
@@ -106,7 +106,7 @@ def main(
     start = mps.start(case, scheme)
     by_rotation, by_field = (Problem(case, scheme, start, steps, until / steps, u) for u in (rotation, smooth))
     truth = jnp.asarray(0.3 * np.random.default_rng(0).normal(size=(MODES, MODES)))
-    decay = optax.cosine_decay_schedule(0.05, updates)
+    decay = optax.cosine_decay_schedule(0.1, updates)
     found = {
         "angular velocity": by_rotation.recover(
             jnp.asarray(OMEGA), jnp.asarray(0.5 * OMEGA), optax.adam(decay), updates
@@ -125,8 +125,8 @@ def main(
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--spacing", type=float, default=0.04)
-    parser.add_argument("--until", type=float, default=0.4)
-    parser.add_argument("--updates", type=int, default=150)
+    parser.add_argument("--spacing", type=float, default=0.05)
+    parser.add_argument("--until", type=float, default=0.2)
+    parser.add_argument("--updates", type=int, default=200)
     parser.add_argument("--out", default="out/recover_initial_velocity")
     main(**vars(parser.parse_args()))

@@ -93,7 +93,7 @@ def _segment(steps: int) -> int:
 def _rollout(case, scheme, start, dt, key, steps, record, segment, window):
     def one(state: State, number: Array) -> tuple[State, Any]:
         if window is not None:
-            border = number % window == 0
+            border = (number > 0) & (number % window == 0)
             state = jax.tree.map(lambda x: jnp.where(border, jax.lax.stop_gradient(x), x), state)
         largest = largest_step(case, scheme, state.particles) if dt is None else dt
         state, info = step(case, scheme, state, largest, jax.random.fold_in(key, state.step))

@@ -24,7 +24,7 @@ def number(name: str, value: Any, unit: str = "") -> Any:
 def whole(name: str, value: Any, *, least: int) -> int:
     """`value` as an int of `least` or more, else `ValueError`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ValueError(f"{name} must be a whole number of {least} or more, got {_show(value, '')}")
+        raise ValueError(f"{name} must be a whole number of {least} or more, got {value!r}")
     return int(value)
 
 

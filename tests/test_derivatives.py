@@ -64,7 +64,7 @@ def make(name: str, tolerance: float) -> SimpleNamespace:
     }
 
     def seen(state):
-        """What decides between branches: neighbors, the surface, and where the pressure is cut off; and the pressure."""
+        """What chooses branches: neighbors, the surface, and where the pressure is cut off; then the pressure."""
         r, p = state.particles.position, state.particles.pressure
         near = jnp.sum((r[:, None] - r) ** 2, axis=-1) < (2.1 * case.spacing) ** 2
         return (near, state.surface, p == 0), p

@@ -123,3 +123,21 @@ def test_the_stochastic_dam_break_example_sloshes_and_says_what_a_large_alpha_do
     assert float(rows["0"][7]) == 0.0
     assert 0.0 < float(rows["0.003"][7]) < float(rows["0.2"][7])
     assert {p.name for p in tmp_path.glob("*.png")} == {"energy.png", "frames.png"}
+
+
+def test_the_recovery_example_finds_both_velocities(tmp_path):
+    found = load("recover_initial_velocity").main(spacing=0.1, until=0.1, updates=60, out=str(tmp_path))
+    # In full size, to 1 %: here are 100 particles and a third of the updates.
+    for one, bar in zip(found.values(), (0.02, 0.3), strict=True):
+        assert one.error[-1] < bar < one.error[0]
+    assert (tmp_path / "recovered.png").stat().st_size > 10_000
+
+
+def test_the_growth_example_shows_growth_and_what_windows_do(tmp_path, capsys):
+    found = load("gradient_growth").main(spacing=0.1, steps=(25, 150), names=("wave, mps",), out=str(tmp_path))
+    wave = found["wave, mps"]
+    assert wave["whole"][0] == pytest.approx(wave["windows"][0], rel=1e-12)
+    assert np.all(wave["windows"] > 0.0)
+    assert wave["whole"][1] > 3.0 * wave["windows"][1]
+    assert "norm of the derivative after" in capsys.readouterr().out
+    assert (tmp_path / "growth.png").stat().st_size > 10_000

@@ -7,15 +7,31 @@ import nbformat
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+SMALL = {
+    "01_first_run": "spacing = 0.1\nuntil = 0.2",
+    "02_schemes_compared": "spacing = 0.1\nuntil = 0.2",
+    "03_tuning_alpha_ds": "spacing = 0.1\nuntil = 0.3\nupdates = 3\nseeds = 2",
+    "04_tuning_alpha_stochastic": "spacing = 0.1\nuntil = 0.5\nupdates = 3\npairs = 1\nseeds = 2",
+}
+"""The first cell of each, with the parameters."""
+FIGURES = {"01_first_run": 3, "02_schemes_compared": 3, "03_tuning_alpha_ds": 2, "04_tuning_alpha_stochastic": 4}
+SAYS = {
+    "01_first_run": "by gravity",
+    "02_schemes_compared": "tip",
+    "03_tuning_alpha_ds": "better by",
+    "04_tuning_alpha_stochastic": "better by",
+}
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_and_shows_figures(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
-    notebook.cells[0].source = "spacing = 0.1\nuntil = 0.2"
+    names = [line.split(" = ")[0] for line in notebook.cells[0].source.splitlines()]
+    assert names == ["# Parameters", *(line.split(" = ")[0] for line in SMALL[path.stem].splitlines())]
+    notebook.cells[0].source = SMALL[path.stem]
     nbclient.NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
     ).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == 3
-    assert any("by gravity" in output.get("text", "") for output in outputs)
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == FIGURES[path.stem]
+    assert any(SAYS[path.stem] in output.get("text", "") for output in outputs)
