@@ -89,9 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with jax.enable_x64(True):
         table.head(table.GRADIENT)
         for name in filter(runs.__contains__, GRADIENTS):
-            report.add(
-                "gradient", table.GRADIENT, variants.gradient(runs[name][0].flow, GRADIENT_STEPS, 3)
-            )
+            report.add("gradient", table.GRADIENT, variants.gradient(runs[name][0].flow, GRADIENT_STEPS, 3))
         table.head(table.ENSEMBLE)
         for name in filter(runs.__contains__, ENSEMBLES):
             run = runs[name][0]

@@ -97,7 +97,7 @@ def figure(found: dict[str, Found], case: mps.Case, truth: Any) -> Figure:
 
 
 def main(
-    spacing: float = 0.05, until: float = 0.2, updates: int = 200, out: str = "out/recover_initial_velocity"
+    spacing: float = 0.04, until: float = 0.2, updates: int = 200, out: str = "out/recover_initial_velocity"
 ) -> dict[str, Found]:
     """Solves both problems, prints the errors and draws them."""
     case = mps.cases.square_patch(spacing=spacing, angular_velocity=OMEGA)
@@ -125,7 +125,7 @@ def main(
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--spacing", type=float, default=0.05)
+    parser.add_argument("--spacing", type=float, default=0.04)
     parser.add_argument("--until", type=float, default=0.2)
     parser.add_argument("--updates", type=int, default=200)
     parser.add_argument("--out", default="out/recover_initial_velocity")

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Key
 
 from jaxmps._compilation import jit
@@ -136,7 +137,7 @@ def _update_function(
         value, gradient = estimator(objective, free, for_estimate)
         change, memory = optimizer.update(gradient, memory, free)
         felt = jnp.stack([jnp.any(g != 0) for g in gradient])
-        return optax.apply_updates(free, change), memory, value, optax.global_norm(gradient), felt
+        return optax.apply_updates(free, change), memory, value, jnp.linalg.norm(ravel_pytree(gradient)[0]), felt
 
     return update
 
