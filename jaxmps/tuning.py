@@ -1,5 +1,6 @@
 """`tune`: a loss on runs, its gradient, and an optimiser of optax that changes leaves of a scheme, case or state."""
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -81,6 +82,7 @@ def tune(
     update, free = jit(_update_function(loss, selection, optimizer, estimator, keys)), selection.free()
     about = {
         "leaves": selection.names,
+        "start": hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in selection.leaves)).hexdigest(),
         "bounds": str(selection.bounds),
         "estimator": str(estimator),
         "keys": keys,
@@ -107,6 +109,8 @@ def tune(
                 write(file, about, done)
                 show(number + 1, float(value), float(norm))
             except KeyboardInterrupt:
+                if not done.loss:
+                    raise
                 ended = "interrupted"
     if not done.loss:
         raise ValueError(ended)

@@ -63,11 +63,11 @@ def rollout(
 
     `dt` [s], by default the largest that the scheme allows at each step. The key of step k is `fold_in(key, k)`. The
     capacity of the list is that of `start`: look for `Status.TABLE_FULL` in `info.status`. What `record` makes of the
-    state after each step comes third, with a leading axis for the steps.
+    state after each step comes third, with a leading axis for the steps; outside `jit`, each new function is compiled.
 
     Derivatives are those of the discrete steps; nothing is propagated through the neighbor list, the choice of surface
     particles and the pressure that a solve starts from. Reverse mode keeps the state once in each `segment` of steps,
-    by default about √`steps` of them, and takes the steps of one segment at a time once more.
+    by default about √`steps` of them, and all pressures, and takes the steps of one segment at a time once more.
 
     Chaos makes derivatives over many steps grow without bound. With a `window`, the state after each so many steps
     counts as given: a derivative then holds the effects within windows only. Raises `ValueError` for numbers of steps

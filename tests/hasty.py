@@ -36,7 +36,7 @@ def hurry() -> None:
 @contextmanager
 def with_care() -> Iterator[None]:
     """What is first compiled here is compiled as users get it."""
-    _compilation._OPTIONS = USUAL
+    _compilation._OPTIONS = USUAL | {"xla_backend_optimization_level": 3}
     _compilation.compiler_options.cache_clear()
     yield
     hurry()

@@ -162,7 +162,7 @@ def test_derivatives_of_a_run_from_rest_on_a_lattice_are_finite(name):
 
 
 @pytest.mark.parametrize("precision", ["single"], indirect=True)
-@pytest.mark.parametrize("name", ["mps", "mps_cd_gc_ds"])
+@pytest.mark.parametrize("name", SCHEMES)
 def test_single_precision_gives_the_derivatives_of_double(name, precision):
     # Without noise, whose draws differ between the precisions.
     with jax.enable_x64(True):

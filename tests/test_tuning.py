@@ -144,6 +144,9 @@ def test_a_tuning_carries_on_from_its_file(tmp_path):
         mps.tune(bowl, SCHEME(), lambda s: s.source.relaxation, optax.adam(0.05), steps=20, file=file, progress=False)
     with pytest.raises(ValueError, match="with the same optimiser"):
         mps.tune(bowl, SCHEME(), both, optax.sgd(0.05, momentum=0.9), steps=20, file=file, progress=False)
+    other_start = SCHEME(relaxation=0.3)
+    with pytest.raises(ValueError, match=r"file must be of the same tuning: .* has start"):
+        mps.tune(bowl, other_start, both, optax.adam(0.05), steps=20, file=file, progress=False)
     (tmp_path / "other").write_bytes(b"\x00\xffsomething else\n")
     with pytest.raises(ValueError, match="file must be one that a tuning has written"):
         tune(3, tmp_path / "other")
@@ -219,3 +222,26 @@ def test_alpha_ds_without_overlaps_is_refused_with_the_reason():
 
     with pytest.raises(ValueError, match="alpha_ds acts only while pairs are closer"):
         mps.tune(loss, scheme, lambda s: [s.stabilizer.alpha_ds], optax.adam(0.01), steps=2, progress=False)
+
+
+def test_ctrl_c_before_the_first_step_is_passed_on():
+    def interrupting(scheme, key):
+        """Python code that is run when the update is traced: at once."""
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mps.tune(interrupting, SCHEME(), both, optax.sgd(0.1), steps=3, progress=False)
+
+
+def test_ctrl_c_during_a_later_step_ends_it_with_its_history(tmp_path, monkeypatch):
+    from jaxmps import tuning
+
+    def interrupted(file, about, done):
+        if len(done.loss) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(tuning, "write", interrupted)
+    best, history = mps.tune(bowl, SCHEME(), both, optax.sgd(0.1), steps=50, progress=False)
+    assert history.ended == "interrupted"
+    assert len(history.loss) == 3
+    assert float(best.source.relaxation) == pytest.approx(0.5 - 0.3 * 0.8**2)
