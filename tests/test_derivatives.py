@@ -112,11 +112,11 @@ def test_the_run_is_a_generic_one_and_no_leaf_is_left_out(name):
     info, (near, surface, _), pressure = p.aux
     assert not np.any(info.status)
     assert pressure.max() > 1000.0
-    assert (pressure.min() < 0.0) == (name not in ("mps", "cmps_hs"))
+    assert (pressure.min() < -100.0) == (name not in ("mps", "cmps_hs"))
     assert 3 < surface[-1].sum() < surface.shape[1] // 2
     assert np.any(near[0] != near[-1])
     assert np.any(np.asarray(info.given) > 0.0)
-    assert (np.asarray(info.stabilized) > 2).any() == name.endswith("ds")
+    assert (np.asarray(info.stabilized)[:16] > 2).all() == name.endswith("ds")  # while the compression lasts
     known = {*LEAVES[name], *THRESHOLDS, *TIME_STEP}
     assert set(p.values) - set(FLOW) <= known
 
