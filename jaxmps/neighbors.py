@@ -1,7 +1,6 @@
 """The neighbor table: the one door to jax-md's lists.
 
 A list is jax-md's own type with its conventions, and with a search of ours: theirs takes ten to seventy times as long.
-jax-md is imported when a list is first allocated: it takes several seconds.
 """
 
 import dataclasses
@@ -13,9 +12,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._compilation import cotangent_once, jit
+from jaxmps._jax_md import partition
 from jaxmps._search import ball, search, window_size
 from jaxmps._vectors import components, dot, take
 from jaxmps.box import Box
@@ -63,12 +64,10 @@ def allocate(position: Float[Array, "n d"], box: Box, cutoff: float, skin: float
 
     Lists of one geometry and size are of one type, so that what was compiled for one serves all.
     """
-    from jax_md import partition
-
     n = position.shape[0]
     points = n if box.mirror is None else 2 * n
     capacity = max(0, min(capacity, points - 1))
-    jax_md: Any = partition  # type checkers do not see the fields of its classes
+    jax_md = partition()
     table = jax_md.NeighborList(
         idx=jnp.full((n, capacity), points, jnp.int32),
         reference_position=jnp.full_like(position, jnp.nan),  # nobody was anywhere: the first update builds the list
@@ -138,8 +137,7 @@ def _update_function(box: Box, cutoff: float, skin: float) -> Callable[..., Any]
     Positions are jax-md's: relative to the lower corner and, along periodic axes, inside the box. With a mirror the
     numbers from n on are those of the images.
     """
-    from jax_md.partition import PartitionErrorCode
-
+    codes = partition().PartitionErrorCode
     reach = cutoff + skin
     lengths = _lengths(box, reach)
 
@@ -150,15 +148,39 @@ def _update_function(box: Box, cutoff: float, skin: float) -> Callable[..., Any]
             points, lengths, box.periodic, reach, table.max_occupancy, table.cell_list_capacity
         )
         idx = idx[:n]
-        error = table.error.update(PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW, slots_full)
-        error = error.update(PartitionErrorCode.CELL_LIST_OVERFLOW, windows_full)
+        error = table.error.update(codes.NEIGHBOR_LIST_OVERFLOW, slots_full)
+        error = error.update(codes.CELL_LIST_OVERFLOW, windows_full)
         return dataclasses.replace(table, idx=idx, reference_position=position, error=error)
 
-    def update_fn(position: Array, table: Any, **_: Any) -> Any:
+    def moved(position: Array, table: Any) -> Bool[Array, ""]:
         squared = jnp.sum(box.displacement(position - table.reference_position) ** 2, axis=-1)
         # Also for a particle that had no finite position before; one that has none now has moved nowhere.
-        moved = ~(squared <= (0.5 * skin) ** 2) & jnp.all(jnp.isfinite(position), axis=-1)
-        return jax.lax.cond(jnp.any(moved), rebuild, lambda _, kept: kept, position, table)
+        far = ~(squared <= (0.5 * skin) ** 2) & jnp.all(jnp.isfinite(position), axis=-1)
+        return jnp.any(far)
+
+    @custom_vmap
+    def moved_on(position: Array, table: Any) -> Any:
+        return jax.lax.cond(moved(position, table), rebuild, lambda _, kept: kept, position, table)
+
+    @moved_on.def_vmap
+    def _moved_on_together(members: int, batched: Any, position: Array, table: Any) -> Any:
+        """Nothing is searched while no member needs it. Those that do not keep their list: the order of pairs is in the
+        last digits of every sum, and a member is to be what it would be alone.
+        """
+        each = [0 if mapped else None for mapped in jax.tree.leaves(batched[1])]
+        axes = (0 if batched[0] else None, jax.tree.unflatten(jax.tree.structure(table), each))
+        need = jax.vmap(moved, axes, axis_size=members)(position, table)
+        whole = jax.tree.map(lambda x, a: x if a == 0 else jnp.broadcast_to(x, (members, *x.shape)), table, axes[1])
+
+        def together(position: Array, table: Any) -> Any:
+            found = jax.vmap(rebuild, (axes[0], 0), axis_size=members)(position, table)
+            return jax.tree.map(lambda a, b: jnp.where(need.reshape(-1, *(1,) * (a.ndim - 1)), a, b), found, table)
+
+        found = jax.lax.cond(jnp.any(need), together, lambda _, kept: kept, position, whole)
+        return found, jax.tree.map(lambda _: True, found)
+
+    def update_fn(position: Array, table: Any, **_: Any) -> Any:
+        return moved_on(position, table)
 
     return update_fn
 

@@ -2,6 +2,8 @@
 
 import functools
 import itertools
+import subprocess
+import sys
 
 import equinox as eqx
 import jax
@@ -209,6 +211,29 @@ def test_vmap_and_scan_give_the_pairs_of_single_calls():
         assert_complete(box, position, jax.tree.map(lambda x, k=k: x[k], mapped))
 
 
+def test_members_have_the_lists_that_they_would_have_alone():
+    position = jnp.array([cloud(OPEN, seed) for seed in range(3)])
+    # Below half the skin, beyond it for one member, and beyond it for all: lists are kept or built, each as alone.
+    travels = jnp.array([[0.1, 0.1, 0.1], [0.0, 0.6, 0.1], [0.7, 0.7, 0.7]]) * SKIN
+    start = make_list(position[0], OPEN)
+    together = jax.jit(jax.vmap(update))
+    members, alone = jax.tree.map(lambda x: jnp.stack([x] * 3), start), [start] * 3
+    built = []
+    for travel in (jnp.zeros(3), *travels):
+        position = position + travel[:, None, None]
+        members = together(members, position)
+        alone = [update(neighbors, x) for neighbors, x in zip(alone, position, strict=True)]
+        for k, single in enumerate(alone):
+            jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x, k=k: x[k], members.table), single.table)
+        built.append(
+            [
+                bool(jnp.all(n.table.reference_position == OPEN.wrap(x) - jnp.array(OPEN.lower)))
+                for n, x in zip(alone, position, strict=True)
+            ]
+        )
+    assert built == [[True] * 3, [False] * 3, [False, True, False], [True] * 3]
+
+
 def test_overflow_of_the_table_is_told_and_repaired():
     box = OPEN
     position = jnp.array(cloud(box, seed=7))
@@ -318,3 +343,37 @@ def test_list_of_one_precision_does_not_disturb_the_other():
         _, near = look_up(make_list(position, box), position)
         assert near.distance.dtype == position.dtype == (jnp.float64 if double else jnp.float32)
         assert_complete(box, position, near)
+
+
+@pytest.mark.parametrize(
+    ("init", "partition"),
+    [
+        ("from jax_md import partition, energy", ""),
+        ("from jax_md import energy\nconstant = 3\nfrom jax_md import partition", "from jax_md import constant"),
+    ],
+    ids=["without its package", "with its package"],
+)
+def test_lists_of_jax_md_come_without_the_rest_where_they_can(tmp_path, init, partition):
+    package = tmp_path / "jax_md"
+    package.mkdir()
+    for name, text in {"__init__": init, "partition": partition, "energy": ""}.items():
+        (package / f"{name}.py").write_text(text)
+    code = f"""
+import sys
+sys.path.insert(0, sys.argv[1])
+from jaxmps._jax_md import partition
+lists = partition()
+assert ("jax_md.energy" in sys.modules) == {bool(partition)}
+import jax_md
+assert jax_md.partition is lists is partition() is sys.modules["jax_md.partition"] and jax_md.energy
+"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
+
+
+def test_a_list_is_made_without_the_rest_of_jax_md():
+    code = """
+import sys
+from jaxmps._jax_md import partition
+assert partition().NeighborList and not {"jax_md", "jax_md.energy", "flax", "e3nn_jax", "sympy"} & set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
