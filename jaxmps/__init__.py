@@ -12,16 +12,19 @@ if TYPE_CHECKING:
     from jaxmps import schemes as schemes
     from jaxmps.box import Box as Box
     from jaxmps.case import Case as Case
+    from jaxmps.ensembles import ensemble as ensemble
     from jaxmps.estimators import AbstractEstimator as AbstractEstimator
     from jaxmps.estimators import Evolution as Evolution
     from jaxmps.estimators import Forward as Forward
     from jaxmps.estimators import Pathwise as Pathwise
+    from jaxmps.io import gather as gather
     from jaxmps.io import read as read
     from jaxmps.monitor import StepInfo as StepInfo
     from jaxmps.particles import Fluid as Fluid
     from jaxmps.particles import Kind as Kind
     from jaxmps.particles import Particles as Particles
     from jaxmps.run import Run as Run
+    from jaxmps.runs import Ensemble as Ensemble
     from jaxmps.scheme import Scheme as Scheme
     from jaxmps.simulation import simulate as simulate
     from jaxmps.simulation import start as start
@@ -44,11 +47,13 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "box": ["Box"],
         "case": ["Case"],
+        "ensembles": ["ensemble"],
         "estimators": ["AbstractEstimator", "Evolution", "Forward", "Pathwise"],
-        "io": ["read"],
+        "io": ["gather", "read"],
         "monitor": ["StepInfo"],
         "particles": ["Fluid", "Kind", "Particles"],
         "run": ["Run"],
+        "runs": ["Ensemble"],
         "scheme": ["Scheme"],
         "simulation": ["simulate", "start"],
         "status": ["Outcome", "SimulationError", "SimulationWarning", "Status"],

@@ -1,5 +1,6 @@
 """Options and arguments that commands share."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +28,20 @@ def real(text: str) -> Any:
 def whole(text: str) -> Any:
     """An option that takes a whole number."""
     return typer.Option(help=text, parser=_parser(int, "a whole number"), metavar="INTEGER")
+
+
+def prepare_jax(precision: str) -> None:
+    """JAX in this precision, with what it compiles kept for later commands."""
+    if precision not in ("single", "double"):
+        raise ValueError(f"precision must be single or double, got {precision}")
+    # Loading a program from the cache makes XLA print pages about two processor flags that are none.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import jax
+
+    from jaxmps._compilation import keep_compiled
+
+    jax.config.update("jax_enable_x64", precision == "double")
+    keep_compiled()
 
 
 def _parser(kind: type, rule: str) -> Callable[[Any], Any]:

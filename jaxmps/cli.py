@@ -1,6 +1,5 @@
 """The command `jaxmps`; commands import JAX themselves, so that help comes at once."""
 
-import os
 import sys
 import warnings
 from pathlib import Path
@@ -8,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from jaxmps._cli_options import Color, File, Force, Settings, real, whole
+from jaxmps._cli_ensemble import ensemble, gather
+from jaxmps._cli_options import Color, File, Force, Settings, prepare_jax, real, whole
 from jaxmps._cli_output import (
     FAILED,
     INTERRUPTED,
@@ -88,18 +88,12 @@ def run(
         raise ValueError(f"out must be a directory, got the file {folder}")
     for path in paths.values():
         refuse(path, force)
-    if precision not in ("single", "double"):
-        raise ValueError(f"precision must be single or double, got {precision}")
-    # Loading a program from the cache makes XLA print pages about two processor flags that are none.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    prepare_jax(precision)
     import jax
 
-    jax.config.update("jax_enable_x64", precision == "double")
     from jaxmps import simulation, status
     from jaxmps._cli_values import build, check_times
-    from jaxmps._compilation import keep_compiled
 
-    keep_compiled()
     times = check_times(until, save_every, dt)
     made, method = build(case, scheme, spacing, settings or [], jitter, seed)
     prepare(folder, [paths["summary.json"], paths["final.png"]])
@@ -193,3 +187,7 @@ def animate(
     prepare(picture.parent)
     plotting.animate(result, picture, color, fps=fps)
     typer.echo(picture)
+
+
+app.command()(ensemble)
+app.command()(gather)

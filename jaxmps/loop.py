@@ -1,19 +1,21 @@
 """The host's loop of a run: chunks of compiled steps up to the next frame, and what is to be done between them."""
 
+import dataclasses
+import math
 import time as clock
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Key
 
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
-from jaxmps.monitor import empty_log, events, extend
+from jaxmps.monitor import Log, empty_log, events, extend
 from jaxmps.neighbors import grow
 from jaxmps.progress import Meter
 from jaxmps.scheme import Scheme
@@ -25,8 +27,8 @@ _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the prog
 _FEWEST = 4  # steps in a call: its temporaries, a gigabyte for 500 000 particles, are fresh memory in each call
 
 
-class _Clock(NamedTuple):
-    """Time to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results.
+class Clock(NamedTuple):
+    """Time [s] to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results.
 
     `largest` is the largest time step so far in the run.
     """
@@ -35,6 +37,9 @@ class _Clock(NamedTuple):
     elapsed: Scalar
     dt: Scalar
     largest: Scalar
+
+
+Progress: TypeAlias = tuple[State, Clock, Log]
 
 
 class Loop:
@@ -52,21 +57,14 @@ class Loop:
     def outcome(self) -> Outcome:
         return Outcome(events(self.log) + self._noted)
 
-    def note(
-        self,
-        bit: Status,
-        particle: int | None = None,
-        position: tuple[float, ...] | None = None,
-        value: float | None = None,
-    ) -> None:
-        event = Event(int(bit), float(self.state.time), int(self.state.step), particle, position, value)
-        self._noted = (*self._noted, event)
+    def note(self, bit: Status) -> None:
+        self._noted = (*self._noted, happened(self.state, bit))
 
     def reach(self, target: float, bar: Meter) -> None:
         """Steps until the time `target` [s], or to the last good state before a failure."""
         begin = float(self.state.time)
         zero = jnp.zeros((), self.state.time.dtype)
-        timer = _Clock(zero + (target - begin), zero, zero, self._largest)
+        timer = Clock(zero + (target - begin), zero, zero, self._largest)
         while float(timer.elapsed) < float(timer.duration):
             began = clock.perf_counter()
             carry = (self.state, timer, self.log)
@@ -75,7 +73,7 @@ class Loop:
             self._largest = timer.largest
             bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
             if int(status) & Status.TIME_STEP_COLLAPSED:
-                self._note_fastest()
+                self.note(Status.TIME_STEP_COLLAPSED)
             if int(status) & FATAL:
                 return
             if int(status) & Status.TABLE_FULL and not self._enlarge():
@@ -84,13 +82,6 @@ class Loop:
             self._chunk = int(np.clip(self._chunk * _CHUNK_SECONDS / seconds, _FEWEST, min(2 * self._chunk, 4096)))
         time = jnp.asarray(target, self.state.time.dtype)
         self.state = eqx.tree_at(lambda s: s.time, self.state, time)
-
-    def _note_fastest(self) -> None:
-        particles = self.state.particles
-        speed = np.linalg.norm(np.where(np.asarray(particles.fluid)[:, None], particles.velocity, 0.0), axis=1)
-        fastest = int(np.argmax(speed))
-        place = tuple(np.asarray(particles.position[fastest]).tolist())
-        self.note(Status.TIME_STEP_COLLAPSED, fastest, place, float(speed[fastest]))
 
     def _enlarge(self) -> bool:
         neighbors = grow(self.state.neighbors, self.state.particles.position)
@@ -101,7 +92,28 @@ class Loop:
         return True
 
 
-def _advance_chunk(case, scheme, carry, dt, key, most_steps):
+def frame_times(begin: float, until: float, save_every: float) -> list[float]:
+    """The times [s] of the frames: that of the start, multiples of `save_every` after it, and `until`."""
+    first = math.floor(begin / save_every + 1e-6) + 1
+    last = math.ceil(until / save_every - 1e-9)
+    return [begin, *(min(frame * save_every, until) for frame in range(first, last + 1))]
+
+
+def happened(state: State, bit: Status) -> Event:
+    """The event that a run ended with at this state; of a collapsed time step with the fastest particle."""
+    event = Event(int(bit), float(state.time), int(state.step))
+    if bit != Status.TIME_STEP_COLLAPSED:
+        return event
+    particles = state.particles
+    speed = np.linalg.norm(np.where(np.asarray(particles.fluid)[:, None], particles.velocity, 0.0), axis=1)
+    fastest = int(np.argmax(speed))
+    place = tuple(np.asarray(particles.position[fastest]).tolist())
+    return dataclasses.replace(event, particle=fastest, position=place, value=float(speed[fastest]))
+
+
+def advance_chunk(
+    case: Case, scheme: Scheme, carry: Progress, dt: Scalar | None, key: Key[Array, ""], most_steps: Array
+) -> tuple[Progress, Array]:
     """Up to `most_steps` steps towards the next frame; a step that fails or finds the table full is not taken."""
     last = carry[2].steps + most_steps
     stop = int(FATAL | Status.TABLE_FULL)
@@ -124,11 +136,11 @@ def _advance_chunk(case, scheme, carry, dt, key, most_steps):
         accepted = (status & stop) == 0
         log = extend(log, info, accepted, state.particles, state.time, state.step)
         elapsed = jnp.where(count > 1, timer.elapsed + now, timer.duration)
-        ahead = (new, _Clock(timer.duration, elapsed, now, largest))
+        ahead = (new, Clock(timer.duration, elapsed, now, largest))
         state, timer = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer))
         return (state, timer, log), status
 
     return jax.lax.while_loop(going, body, (carry, jnp.zeros((), int)))
 
 
-_advance = jit(_advance_chunk)
+_advance = jit(advance_chunk)

@@ -62,6 +62,17 @@ def tally(steps: int, visible: bool | None) -> Iterator[Callable[[int, float, fl
 
 
 @contextmanager
+def counter(total: int, visible: bool | None, what: str) -> Iterator[Callable[[int], None]]:
+    """A function that counts so many more of `total` as done, and shows it."""
+    with _bar([TextColumn(f"{{task.completed:g}} of {{task.total:g}} {what}")], visible) as progress:
+        if progress is None:
+            yield lambda more: None
+            return
+        task = progress.add_task("", total=total)
+        yield lambda more: progress.update(task, advance=more)
+
+
+@contextmanager
 def _bar(columns: Sequence[ProgressColumn], visible: bool | None) -> Iterator[Progress | None]:
     """A bar with these columns and the time that is left; None if it is not visible."""
     console = Console(file=sys.stderr) if "ipykernel" not in sys.modules else Console()

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from jaxmps._compilation import jit
 from jaxmps.case import Case
@@ -20,6 +21,19 @@ from jaxmps.status import Outcome
 from jaxmps.stepping import State
 
 _energy = jit(mechanical_energy)
+
+
+def fields(state: State) -> dict[str, Array]:
+    """What a frame keeps of the particles, by the names of a `Run`."""
+    p = state.particles
+    return {
+        "position": p.position,
+        "velocity": p.velocity,
+        "pressure": p.pressure,
+        "number_density": state.number_density,
+        "surface": state.surface,
+        "kind": p.kind,
+    }
 
 
 class Recorder:
@@ -68,16 +82,7 @@ class Recorder:
         if self._times and self._times[-1] == time:
             return
         energy = _energy(p, self._case.density, self._case.gravity)
-        frame: dict[str, Any] = jax.device_get(
-            {
-                "position": p.position,
-                "velocity": p.velocity,
-                "pressure": p.pressure,
-                "number_density": state.number_density,
-                "surface": state.surface,
-                "kind": p.kind,
-            }
-        )
+        frame: dict[str, Any] = jax.device_get(fields(state))
         frame["time"] = time
         frame["energy"] = np.array([energy.kinetic, energy.potential], np.float64)
         if self._writer is None:

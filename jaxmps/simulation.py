@@ -1,6 +1,5 @@
 """Running a case: `start` and the pure `rollout`; `simulate` is the host's loop around compiled chunks of steps."""
 
-import math
 import warnings
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from jaxtyping import Array, Key
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.case import Case
-from jaxmps.loop import Loop
+from jaxmps.loop import Loop, frame_times
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
@@ -98,12 +97,10 @@ def simulate(
     recorder = Recorder(case, scheme, settings, out, overwrite)
     loop = Loop(case, scheme, state, fixed, key)
     recorder.save(state)
-    first = math.floor(begin / save_every + 1e-6) + 1
-    frames = math.ceil(until / save_every - 1e-9)
     with meter(until, progress) as bar:
         try:
-            for frame in range(first, frames + 1):
-                loop.reach(min(frame * save_every, until), bar)
+            for time in frame_times(begin, until, save_every)[1:]:
+                loop.reach(time, bar)
                 recorder.save(loop.state)
                 if loop.outcome.flags & FATAL:
                     break

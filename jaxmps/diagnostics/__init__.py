@@ -12,6 +12,8 @@ from jaxmps.diagnostics.objectives import smallest_distance as smallest_distance
 from jaxmps.diagnostics.objectives import smooth_maximum as smooth_maximum
 from jaxmps.diagnostics.objectives import tip_radius as tip_radius
 from jaxmps.diagnostics.objectives import wave_height_error as wave_height_error
+from jaxmps.diagnostics.observation import observation as observation
+from jaxmps.diagnostics.observation import volume_fraction as volume_fraction
 from jaxmps.diagnostics.separation import breakup as breakup
 from jaxmps.diagnostics.separation import nearest as nearest
 from jaxmps.diagnostics.surface import surge_front as surge_front

@@ -1,0 +1,158 @@
+"""What ensembles observe, and their statistics, against closed forms."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmps as mps
+from jaxmps import plotting
+from jaxmps.cli import main
+from jaxmps.diagnostics import observation, volume_fraction
+
+SCHEME = mps.schemes.mps()
+
+
+def state(case: mps.Case) -> mps.State:
+    return mps.start(case, SCHEME)
+
+
+def test_water_in_a_tank_has_its_length_height_energy_and_is_wet_where_it_is():
+    case = mps.cases.hydrostatic(spacing=0.05, length=0.6, height=0.4)
+    seen = observation(case, state(case), gauges=(0.3,))
+    assert float(seen["front"]) == pytest.approx(0.6)
+    assert float(seen["top"]) == pytest.approx(0.4)
+    assert float(seen["height"][0]) == pytest.approx(0.4)
+    assert float(seen["potential"]) == pytest.approx(9.81 * 0.2) and float(seen["kinetic"]) == 0.0
+    # Cells are at most two spacings long: as many are wet as the water is large, but for half a cell along its edges.
+    shape = np.array(seen["wet"].shape)
+    cell = np.prod(np.array(case.box.lengths) / shape)
+    assert np.sum(seen["wet"]) * cell == pytest.approx(0.6 * 0.4, rel=0.25)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_volume_is_kept_when_it_is_shared_out_among_cells(dim):
+    case = mps.cases.dam_break(spacing=0.1, width=0.4, height=0.4) if dim == 2 else mps.cases.dam_break_3d(spacing=0.1)
+    fraction = volume_fraction(case, state(case))
+    cell = np.prod(np.array(case.box.lengths) / np.array(fraction.shape))
+    fluid = int(np.sum(case.particles.fluid))
+    assert float(fraction.sum()) * cell == pytest.approx(fluid * 0.1**dim)
+    assert float(fraction.max()) < 1.6 and float(fraction.min()) == 0.0
+
+
+def test_volume_that_crosses_the_seam_of_a_periodic_axis_is_kept():
+    case = mps.cases.standing_wave(spacing=0.1, floor="mirror", amplitude=0.0, depth=0.3)
+    moved = eqx.tree_at(
+        lambda c: c.particles.position, case, case.box.wrap(case.particles.position + jnp.array([0.03, 0]))
+    )
+    fraction = volume_fraction(moved, state(moved))
+    np.testing.assert_allclose(fraction.sum(axis=1), fraction.sum() / len(fraction), rtol=0.02)
+
+
+def test_a_drop_that_flies_ahead_is_no_front():
+    case = mps.cases.dam_break(spacing=0.05)
+    drop = jnp.array([1.5, 0.9]) * case.box.upper[0] / 2.0
+    flown = eqx.tree_at(lambda c: c.particles.position, case, case.particles.position.at[0].set(drop))
+    assert case.particles.fluid[0]
+    far, usual = observation(flown, state(flown)), observation(case, state(case))
+    assert float(far["front"]) == pytest.approx(float(usual["front"]))
+
+
+def synthetic(count: int = 5) -> mps.Ensemble:
+    """Member k has the front k + t."""
+    time, k = np.linspace(0.0, 1.0, 3), np.arange(count, dtype=float)
+    front = k[:, None] + time
+    series = {
+        "front": front,
+        "kinetic": 2.0 * front,
+        "potential": -front,
+        "wet": np.array([[[[k > 1] * 2] * 2] * 3 for k in range(count)]),
+    }
+    fine, alpha = mps.Outcome(), np.array([0.1, 0.1, 0.2, 0.2, 0.3], np.float32)
+    return mps.Ensemble(
+        time, np.arange(count), np.zeros((count, 2), np.uint32), {"noise.alpha": alpha},
+        series, np.ones((count, 3), bool), (fine,) * count, {}, np.zeros(4, int), np.ones((count, 1)), 0.1,
+        {"box": {"lower": [0, 0], "upper": [1, 2]}},
+    )  # fmt: skip
+
+
+def test_statistics_are_those_of_the_members_that_are_valid():
+    many = synthetic()
+    np.testing.assert_allclose(many.mean("front"), 2.0 + many.time)
+    np.testing.assert_allclose(many.mean("energy"), 2.0 + many.time)
+    np.testing.assert_allclose(many.variance("front"), 2.5)  # of 0, 1, 2, 3, 4, unbiased
+    np.testing.assert_allclose(many.quantile("front", [0.0, 0.25, 1.0])[:, 0], [0.0, 1.0, 4.0])
+    np.testing.assert_allclose(many.mean("wet"), 0.6)
+    valid = many.valid.copy()
+    valid[4, 2], valid[:4, 1] = False, False
+    lost = dataclasses.replace(many, valid=valid)
+    np.testing.assert_allclose(lost.mean("front"), [2.0, 4.5, 2.5])
+    np.testing.assert_allclose(lost.variance("front"), [2.5, np.nan, 5.0 / 3.0])
+    with pytest.raises(ValueError, match="name must be one of front, kinetic, potential, wet, got speed"):
+        many.mean("speed")
+
+
+def test_members_are_chosen_by_value_slice_and_mask_and_joined_again():
+    many = synthetic()
+    assert many.where("noise.alpha", 0.2).member.tolist() == [2, 3]
+    assert many[many.of("front")[:, 0] > 2.5].member.tolist() == [3, 4] and len(many[:2]) == 2
+    joined = mps.Ensemble.join([many[3:], many[[1]], many[[0, 2]]])
+    np.testing.assert_array_equal(joined.of("front"), many.of("front"))
+    assert joined.values["noise.alpha"].tolist() == many.values["noise.alpha"].tolist()
+    with pytest.raises(ValueError, match=r"noise.alpha must be one of .*, got 0.25"):
+        many.where("noise.alpha", 0.25)
+    with pytest.raises(ValueError, match="frames must be kept"):
+        many[0]
+
+
+def test_bands_are_the_quantiles_and_the_map_is_the_probability():
+    many = synthetic()
+    axes: Any = plotting.bands(many, ("front",)).axes[0]
+    (line,) = axes.lines
+    np.testing.assert_allclose(line.get_ydata(), 2.0 + many.time)
+    band = axes.collections[0].get_paths()[0].vertices
+    assert band[:, 1].min() == pytest.approx(0.1) and band[:, 1].max() == pytest.approx(4.9)
+    lines: Any = plotting.bands(many, ("front", "energy"), by="noise.alpha").axes[1].lines
+    np.testing.assert_allclose([line.get_ydata()[0] for line in lines], [0.5, 2.5, 4.0])
+    with pytest.raises(ValueError, match="names must be of series with one number at each frame, got wet"):
+        plotting.bands(many, ("wet",))
+    with pytest.raises(ValueError, match=r"by must be one of noise.alpha, got beta"):
+        plotting.bands(many, by="beta")
+    image = plotting.wet(many).axes[0].images[0]
+    np.testing.assert_allclose(np.asarray(image.get_array()), 0.6)
+    assert image.get_extent() == [0, 1, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--sweep", "alpha"], "sweep must have the form NAME=LOW:HIGH:COUNT or NAME=A,B,C, got 'alpha'"),
+        (["--sweep", "alpha=0:1"], "sweep must have the form"),
+        (["--sweep", "alpha=0:1:1"], "sweep must have the form"),
+        (["--sweep", "alpa=0:1:2"], "did you mean alpha?"),
+        (["--sweep", "alpha=0:2:3"], "alpha must be between 0 and 1, got 2"),
+        (["--sweep", "ratio=2.1:3.1:2"], "in values alone, not in"),
+        (["--members", "0"], "members must be a whole number of 1 or more, got 0"),
+        (["--members", "20000"], "members must be at most 10000 in all, got 20000"),
+        (["--jitter", "1"], "jitter must be between 0 and 0.3 spacings, got 1"),
+        (["--hosts", "here"], "hosts must be auto, or ADDRESS:PORT with --processes and --process, got here"),
+        (["--process", "0"], "hosts must be given with --processes and --process"),
+        (["--hosts", "a:1", "--processes", "2", "--process", "2"], "process must be between 0 and 1, got 2"),
+        (["--memory", "0"], "memory must be greater than zero, got 0 bytes"),
+    ],
+)  # fmt: skip
+def test_wrong_options_of_an_ensemble_are_named_in_one_line(options, message, tmp_path, capsys):
+    cache = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    assert main(["ensemble", "standing_wave", "--spacing", "0.1", "--out", str(tmp_path / "here"), *options]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ") and message in told and told.count("\n") == 1
+    jax.config.update("jax_compilation_cache_dir", cache)
+
+
+def test_a_folder_without_members_is_named(tmp_path, capsys):
+    assert main(["gather", str(tmp_path)]) == 2
+    assert "folder must be one that an ensemble was written to" in capsys.readouterr().err
