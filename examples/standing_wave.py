@@ -226,8 +226,8 @@ def main(
     for name, scheme in schemes().items():
         if names is not None and name not in names:
             continue
-        path = Path(out) / f"{name.replace(', ', '_').replace(' ', '_')}.npz"
-        runs[name] = members.kept(path, case, scheme, seeds, until, save_every, reuse)
+        folder = Path(out) / name.replace(", ", "_").replace(" ", "_")
+        runs[name] = members.runs(folder, case, scheme, seeds, until, save_every, reuse)
     waves = {name: [fit(run) for run in several] for name, several in runs.items()}
     measured = compare(runs, waves)
     figures(runs, waves, Path(out))

@@ -122,11 +122,11 @@ def main(
     """Runs, prints the table and draws the figures; gives the times at which the wave disappeared."""
     case, runs = mps.cases.dam_break(spacing=spacing), {}
     for alpha in (*alphas, WARNED):
-        path = Path(out) / f"alpha_{alpha:g}.npz"
+        folder = Path(out) / f"alpha_{alpha:g}"
         scheme = mps.schemes.stochastic(mps.schemes.mps(), alpha=alpha)
         # The paper's warning takes a moment to show.
         end = min(until, 1.5) if alpha == WARNED else until
-        runs[alpha] = members.kept(path, case, scheme, seeds, end, save_every, reuse)
+        runs[alpha] = members.runs(folder, case, scheme, seeds, end, save_every, reuse)
     for alpha, several in runs.items():
         for run in several:
             run.metadata["scheme"]["name"] = f"α = {alpha:g}"

@@ -16,14 +16,14 @@ from jaxmps._types import Scalar
 from jaxmps.case import Case
 from jaxmps.kernels import lattice
 from jaxmps.loop import Clock, Loop, advance_chunk, happened
-from jaxmps.monitor import empty_log, events
+from jaxmps.monitor import Log, empty_log, events
 from jaxmps.neighbors import grow
 from jaxmps.progress import Meter
 from jaxmps.simulation import start
 from jaxmps.status import FATAL, Event, Outcome, Status
 from jaxmps.stepping import State
 
-Look = Callable[[Case, State], Any]
+Look = Callable[[Case, State, Log], Any]
 _CHUNK_SECONDS = 1.0
 
 
@@ -46,7 +46,7 @@ class Alone:
         self._loop.reach(target, Meter(None, target))
 
     def look(self) -> Any:
-        seen = jax.device_get(_look(self._look, self._loop.case, self._loop.state))
+        seen = jax.device_get(_look(self._look, self._loop.case, self._loop.state, self._loop.log))
         return jax.tree.map(lambda x: np.asarray(x)[None], seen)
 
 
@@ -81,7 +81,7 @@ class Lanes:
         return [Outcome(events(log) + tuple(self._notes[k])) for k, log in enumerate(lanes)]
 
     def look(self) -> Any:
-        seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, self._state))
+        seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, self._state, self._log))
         return jax.tree.map(lambda x: x[: self.count], seen)
 
     def reach(self, target: float) -> None:
@@ -157,15 +157,15 @@ def _advance_lanes(mesh, own, shared, carry, dt, keys, most_steps):
 _advance = jit(_advance_lanes, static_argnums=0)
 
 
-def _look_at(look, case, state):
-    return look(case, state)
+def _look_at(look, case, state, log):
+    return look(case, state, log)
 
 
 _look = jit(_look_at, static_argnums=0)
 
 
-def _look_at_lanes(look, own, shared, state):
-    return _over_lanes(lambda state, own: look(combined(own, shared)[0], state), state, own)
+def _look_at_lanes(look, own, shared, state, log):
+    return _over_lanes(lambda state, log, own: look(combined(own, shared)[0], state, log), state, log, own)
 
 
 _look_lanes = jit(_look_at_lanes, static_argnums=0)

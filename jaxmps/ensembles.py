@@ -22,6 +22,7 @@ from jaxmps.description import describe, versions
 from jaxmps.diagnostics.observation import observation
 from jaxmps.io.member_files import MemberFiles
 from jaxmps.loop import frame_times
+from jaxmps.monitor import Log
 from jaxmps.progress import counter
 from jaxmps.recorder import fields
 from jaxmps.runs import Ensemble
@@ -52,7 +53,8 @@ def ensemble(
     may be one for each member; they may differ in every array, not in what fixes the program. A member makes the steps
     that `simulate` makes with its case, scheme and key: bit for bit where it runs by itself, else within round-off.
 
-    Of each member the quantities that `observe` makes of a state are kept (see `observation`), and the particles unless
+    Of each member are kept: what `observe` makes of a state (see `observation`), the number of `steps` and the energies
+    [J/kg] that noise and stabilizer have given so far, `noise_work` and `stabilizer_work`, and the particles unless
     `keep_frames` is false. A member that fails stays as it was, with the cause in its status, and disturbs no other.
 
     `batch` members at a time run as one program on each of the local devices. On processors it is one by default, and
@@ -60,11 +62,11 @@ def ensemble(
     in the time step. Elsewhere it is what fits into `memory` [bytes], by default most of what is free; a bound on
     memory bounds the members at a time on processors, too.
 
-    With `out`, a folder, each member is written there as soon as it has ended, in one go; members that are there
-    already are not run again, so that the same call carries on after any interruption. Under `jax.distributed` each
-    process runs the members whose number modulo the number of processes is its own, and returns these; `gather` reads
-    all from the folder. Raises `ValueError` for members of several kinds, and for a folder of another ensemble unless
-    `overwrite` is set, which removes it.
+    With `out`, a folder, each member is written there as soon as it has ended, in one go, and members that are there
+    already are not run again: the same call carries on after any interruption, and more keys make a larger ensemble.
+    Under `jax.distributed` each process runs the members whose number modulo the number of processes is its own, and
+    returns these; `gather` reads all from the folder. With `overwrite` the members there are removed first. Raises
+    `ValueError` for members of several kinds, and for a folder of another ensemble.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
@@ -123,8 +125,9 @@ def _run(
 def _look_of(observe: Callable[[Case, State], dict[str, Array]], keep_frames: bool) -> Look:
     """One function for each: it is part of what is compiled."""
 
-    def look(case: Case, state: State) -> dict[str, Any]:
-        return {"series": observe(case, state), "frames": fields(state) if keep_frames else {}}
+    def look(case: Case, state: State, log: Log) -> dict[str, Any]:
+        counted = {"steps": log.steps, "noise_work": log.given, "stabilizer_work": log.work}
+        return {"series": observe(case, state) | counted, "frames": fields(state) if keep_frames else {}}
 
     return look
 
@@ -150,11 +153,15 @@ def _metadata(first: Member, run: dict[str, Any]) -> dict[str, Any]:
 
 
 def _fingerprint(every: Sequence[Member], metadata: dict[str, Any], keep_frames: bool) -> dict[str, Any]:
-    """What makes an ensemble this one, as values for JSON."""
-    digest = hashlib.sha256()
-    for member in every:
-        leaves = jax.tree.leaves((member.case, member.scheme, jax.random.key_data(member.key)))
-        for leaf in leaves:
-            digest.update(np.asarray(leaf).tobytes())
+    """What makes an ensemble this one, as values for JSON; of each member a digest of all its numbers."""
     about = {name: metadata[name] for name in ("case", "scheme", "run")}
-    return {**about, "members": len(every), "frames": keep_frames, "values": digest.hexdigest()}
+    for name in {name for member in every for name in member.values}:
+        about["scheme"] = {key: value for key, value in about["scheme"].items() if key != name}
+    return {**about, "frames": keep_frames, "members": [_digest(member) for member in every]}
+
+
+def _digest(member: Member) -> str:
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves((member.case, member.scheme, jax.random.key_data(member.key))):
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()[:16]

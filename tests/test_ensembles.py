@@ -102,10 +102,10 @@ def test_a_member_that_blows_up_stays_as_it_was_and_disturbs_no_other(swept, bat
 
 def test_a_full_table_of_one_member_is_enlarged_without_changing_the_answer(swept, monkeypatch):
     batch = members(swept[0], swept[1], KEYS)
-    usual = _lanes.Lanes(batch, None, lambda case, state: state.particles.position, jax.devices()[:1])
+    usual = _lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
     usual.reach(0.02)
     monkeypatch.setattr(simulation, "usual_capacity", lambda reach, dim: 9)
-    small = _lanes.Lanes(batch, None, lambda case, state: state.particles.position, jax.devices()[:1])
+    small = _lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
     small.reach(0.02)
     np.testing.assert_allclose(small.look(), usual.look(), atol=1e-12)
     assert small._state.neighbors.capacity > 9
@@ -148,8 +148,12 @@ def test_finished_members_are_not_run_again(swept, many, tmp_path):
         assert found.status == many.status and found.values.keys() == many.values.keys()
     with pytest.raises(ValueError, match=r"another: its run.(until|save_every) is 0"):
         mps.ensemble(*swept, keys=KEYS, out=tmp_path, until=0.05)
-    with pytest.raises(ValueError, match="another: its values"):
+    with pytest.raises(ValueError, match="another: its members"):
         mps.ensemble(*swept, keys=KEYS[::-1], out=tmp_path, **TIMES)
+    more = mps.ensemble(swept[0][0], swept[1][0], keys=KEYS[jnp.array([0, 2])], out=tmp_path / "more", **TIMES)
+    larger = mps.ensemble(swept[0][0], swept[1][0], keys=KEYS[jnp.array([0, 2, 1])], out=tmp_path / "more", **TIMES)
+    np.testing.assert_array_equal(larger[:2].position, more.position)
+    np.testing.assert_array_equal(larger.position[0], many.position[0])
     short = mps.ensemble(*swept, keys=KEYS, out=tmp_path, until=0.05, overwrite=True)
     assert mps.gather(tmp_path).time[-1] == short.time[-1] == 0.05
 

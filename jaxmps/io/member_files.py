@@ -30,17 +30,21 @@ class MemberFiles:
     def __init__(self, folder: str | Path, about: dict[str, Any], overwrite: bool):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        head = self.folder / "ensemble.json"
-        text = json.dumps({"format": FORMAT, **about}, indent=2, sort_keys=True, default=str)
-        if head.exists() and head.read_text(encoding="utf-8") != text:
-            if not overwrite:
-                raise ValueError(
-                    f"out must be a new folder or one of the same ensemble; {self.folder} has another: "
-                    f"{_difference(head, text)}"
-                )
+        head, about = self.folder / "ensemble.json", {"format": FORMAT, **about}
+        if overwrite:
             for path in self.folder.glob("member-*.h5"):
                 path.unlink(missing_ok=True)
-        _replace(head, text.encode())
+        elif head.exists():
+            old, new = _load(head), json.loads(_dump(about))
+            known, mine = old.get("members") or [], new["members"]
+            alike = all(a == b for a, b in zip(known, mine, strict=False))  # more members make it larger
+            if not alike or {**old, "members": 0} != {**new, "members": 0}:
+                raise ValueError(
+                    f"out must be a new folder or one of the same ensemble; {self.folder} has another: "
+                    f"{_difference(old, new)}"
+                )
+            about["members"] = max(known, mine, key=len)
+        _replace(head, _dump(about).encode())
 
     def __contains__(self, number: int) -> bool:
         return self._path(number).exists()
@@ -67,7 +71,7 @@ def gather(folder: str | Path) -> Ensemble:
     head = folder / "ensemble.json"
     if not (head.exists() and paths):
         raise ValueError(f"folder must be one that an ensemble was written to, got {folder} without members")
-    expected = set(range(json.loads(head.read_text(encoding="utf-8"))["members"]))
+    expected = set(range(len(_load(head)["members"])))
     missing = sorted(expected - {int(path.stem.split("-")[1]) for path in paths})
     if missing:
         raise ValueError(
@@ -146,13 +150,21 @@ def _replace(path: Path, content: bytes) -> None:
     part.replace(path)
 
 
-def _difference(head: Path, text: str) -> str:
+def _dump(about: dict[str, Any]) -> str:
+    return json.dumps(about, indent=2, sort_keys=True, default=str)
+
+
+def _load(head: Path) -> dict[str, Any]:
     try:
-        old, new = (dict(_entries(json.loads(some))) for some in (head.read_text(encoding="utf-8"), text))
-    except (ValueError, AttributeError):
-        return "its ensemble.json is of something else"
-    name = next(name for name in [*new, *old] if old.get(name) != new.get(name))
-    return f"its {name} is {_short(old.get(name))}, not {_short(new.get(name))}"
+        return dict(json.loads(head.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise ValueError(f"{head} is damaged, or of something else: {error}") from error
+
+
+def _difference(old: dict[str, Any], new: dict[str, Any]) -> str:
+    before, after = dict(_entries(old)), dict(_entries(new))
+    name = next(name for name in [*after, *before] if before.get(name) != after.get(name))
+    return f"its {name} is {_short(before.get(name))}, not {_short(after.get(name))}"
 
 
 def _entries(about: dict[str, Any]) -> Iterator[tuple[str, Any]]:
