@@ -77,13 +77,14 @@ def run(
     seed: Annotated[int, whole("Seed of noise and jitter.")] = 0,
     jitter: Annotated[float, real("Random displacement at the start, in spacings.")] = 0.0,
     precision: Annotated[str, typer.Option(help="single or double.")] = "double",
+    on_blowup: Annotated[str, typer.Option(help="stop, or halve-dt: go back a frame and take half the step.")] = "stop",
     out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
     settings: Settings = None,
     force: Force = False,
 ) -> int:
-    """Run a case: writes run.vtkhdf, summary.json and final.png."""
+    """Run a case: writes run.vtkhdf, summary.json and final.png, and failure.png if it ends early."""
     folder = Path(case) if out is None else out
-    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png")}
+    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png", "failure.png")}
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"out must be a directory, got the file {folder}")
     for path in paths.values():
@@ -98,16 +99,19 @@ def run(
     from jaxmps import simulation, status
     from jaxmps._cli_values import build, check_times
     from jaxmps._compilation import keep_compiled
+    from jaxmps.rescue import ON_BLOWUP
+    from jaxmps.validation import one_of
 
     keep_compiled()
     times = check_times(until, save_every, dt)
+    one_of("on-blowup", on_blowup, ON_BLOWUP)
     made, method = build(case, scheme, spacing, settings or [], jitter, seed)
-    prepare(folder, [paths["summary.json"], paths["final.png"]])
+    prepare(folder, [paths[name] for name in ("summary.json", "final.png", "failure.png")])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", status.SimulationWarning)
         key = jax.random.key(seed)
         file = paths["run.vtkhdf"]
-        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force)
+        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force, on_blowup=on_blowup)
     return conclude(result, paths)
 
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from scipy.spatial import KDTree
 
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
@@ -62,6 +63,15 @@ class Loop:
         event = Event(int(bit), float(self.state.time), int(self.state.step), particle, position, value)
         self._noted = (*self._noted, event)
 
+    def halve(self, event: Event) -> None:
+        """Takes half the time step from here on, fixed or adaptive, and notes why."""
+        if self.dt is None:
+            rule = jax.tree.map(lambda limit: 0.5 * limit, self.scheme.time_step)
+            self.scheme = eqx.tree_at(lambda s: s.time_step, self.scheme, rule)
+        else:
+            self.dt = 0.5 * self.dt
+        self._largest, self._noted = 0.5 * self._largest, (*self._noted, event)
+
     def reach(self, target: float, bar: Meter) -> None:
         """Steps until the time `target` [s], or to the last good state before a failure."""
         begin = float(self.state.time)
@@ -92,10 +102,18 @@ class Loop:
         place = tuple(np.asarray(particles.position[fastest]).tolist())
         self.note(Status.TIME_STEP_COLLAPSED, fastest, place, float(speed[fastest]))
 
+    def _note_closest(self) -> None:
+        fluid = np.flatnonzero(self.state.particles.fluid)
+        position = np.asarray(self.state.particles.position)[fluid]
+        distance = KDTree(position).query(position, k=2)[0][:, 1]
+        closest = int(np.argmin(distance))
+        place = tuple(position[closest].tolist())
+        self.note(Status.CLUSTERED, int(fluid[closest]), place, float(distance[closest]) / self.case.spacing)
+
     def _enlarge(self) -> bool:
         neighbors = grow(self.state.neighbors, self.state.particles.position)
         if neighbors.capacity > self._most:
-            self.note(Status.CLUSTERED)
+            self._note_closest()
             return False
         self.state = eqx.tree_at(lambda s: s.neighbors, self.state, neighbors)
         return True

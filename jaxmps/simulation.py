@@ -17,6 +17,7 @@ from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
 from jaxmps.recorder import Recorder
+from jaxmps.rescue import Rescue
 from jaxmps.run import Run
 from jaxmps.scheme import Scheme
 from jaxmps.status import FATAL, SimulationWarning, Status
@@ -73,6 +74,7 @@ def simulate(
     overwrite: bool = False,
     progress: bool | None = None,
     start: State | None = None,
+    on_blowup: str = "stop",
 ) -> Run:
     """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
 
@@ -80,9 +82,11 @@ def simulate(
     table that is too small is enlarged and the step repeated. With `out` the frames go to a VTKHDF file as they are
     made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
     state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
-    same way. `start` carries on from another state.
+    same way. `start` carries on from another state. With `on_blowup="halve-dt"` a run that blows up goes back to its
+    last frame and on from there with half the time step, at most ten times in a row; each is an event of the status.
 
-    Raises `ValueError` for times that are not positive and `FileExistsError` for an existing file.
+    Raises `ValueError` for times that are not positive or an unknown `on_blowup`, `FileExistsError` for an existing
+    file.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
@@ -93,17 +97,18 @@ def simulate(
     if begin >= until:
         raise ValueError(f"until must exceed the time of the start, {begin:g} s, got {until:g} s")
     _check_time_step(case, scheme, state, fixed)
-    settings = {"until": until, "save_every": save_every, "dt": dt}
+    settings = {"until": until, "save_every": save_every, "dt": dt, "on_blowup": on_blowup}
     settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
-    recorder = Recorder(case, scheme, settings, out, overwrite)
     loop = Loop(case, scheme, state, fixed, key)
+    rescue = Rescue(loop, on_blowup)
+    recorder = Recorder(case, scheme, settings, out, overwrite)
     recorder.save(state)
     first = math.floor(begin / save_every + 1e-6) + 1
     frames = math.ceil(until / save_every - 1e-9)
     with meter(until, progress) as bar:
         try:
             for frame in range(first, frames + 1):
-                loop.reach(min(frame * save_every, until), bar)
+                rescue.reach(min(frame * save_every, until), bar)
                 recorder.save(loop.state)
                 if loop.outcome.flags & FATAL:
                     break
@@ -112,7 +117,7 @@ def simulate(
             loop.note(Status.INTERRUPTED)
     outcome = loop.outcome
     if outcome.events:
-        warnings.warn(str(outcome), SimulationWarning, stacklevel=2)
+        warnings.warn(f"{outcome}. Advice: {outcome.advice}", SimulationWarning, stacklevel=2)
     return recorder.finish(loop.state, loop.log, outcome)
 
 

@@ -1,8 +1,9 @@
-"""Pictures of runs: a frame, several side by side, an animation, energies, and the surge front of a dam break."""
+"""Pictures of runs: a frame, several, an animation, the place of a failure, energies, the front of a dam break."""
 
 from jaxmps.plotting.animation import animate as animate
 from jaxmps.plotting.colors import COLORS as COLORS
 from jaxmps.plotting.curves import energy as energy
 from jaxmps.plotting.curves import front as front
+from jaxmps.plotting.failure import failure as failure
 from jaxmps.plotting.flow import frame as frame
 from jaxmps.plotting.panels import panels as panels
