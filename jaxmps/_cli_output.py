@@ -69,6 +69,19 @@ def open_run(file: Path) -> tuple[Path, "Run"]:
     return path, result
 
 
+def frames_of(text: str, count: int) -> list[int]:
+    """The frame of that number, or all."""
+    if text == "all":
+        return list(range(count))
+    try:
+        frame = int(text)
+    except ValueError:
+        raise ValueError(f"frame must be a whole number or all, got {text}") from None
+    if not -count <= frame < count:
+        raise ValueError(f"frame must be between {-count} and {count - 1}, got {frame}")
+    return [frame % count]
+
+
 def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
     """Writes summary and picture of a run, prints how it went, and gives the exit code."""
     from jaxmps import plotting

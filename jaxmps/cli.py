@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from jaxmps._cli_options import Color, File, Force, Settings, real, whole
+from jaxmps._cli_options import USUAL_TYPES, Color, File, Force, Settings, Types, real, whole
 from jaxmps._cli_output import (
     FAILED,
     INTERRUPTED,
@@ -16,6 +16,7 @@ from jaxmps._cli_output import (
     catalog,
     conclude,
     fail,
+    frames_of,
     open_run,
     prepare,
     print_table,
@@ -197,3 +198,32 @@ def animate(
     prepare(picture.parent)
     plotting.animate(result, picture, color, fps=fps)
     typer.echo(picture)
+
+
+@app.command()
+def export(
+    file: File,
+    to: Annotated[str, typer.Option(help="csv, prof, vtu or vtp.")],
+    frame: Annotated[str, typer.Option(help="Which frame; -1 is the last; or all, each to its file.")] = "-1",
+    out: Annotated[Path | None, typer.Option(help="File; else next to the run's. For all: numbers are added.")] = None,
+    types: Types = USUAL_TYPES,
+    force: Force = False,
+) -> None:
+    """Write particles for other programs."""
+    from jaxmps import io
+    from jaxmps._cli_values import types_of
+    from jaxmps.validation import one_of
+
+    path, result = open_run(file)
+    one_of("to", to, io.FORMATS)
+    if out is not None and out.suffix != f".{to}":
+        raise ValueError(f"out must end in .{to}, got {out}")
+    frames, meaning = frames_of(frame, len(result)), types_of(types)
+    numbered = frame == "all" or out is None
+    base = out or path.with_suffix(f".{to}")
+    files = {k: base.with_name(f"{base.stem}_{k:04d}.{to}") if numbered else base for k in frames}
+    for made in files.values():
+        refuse(made, force)
+    prepare(base.parent)
+    for k, made in files.items():
+        typer.echo(io.export(result, made, k, types=meaning, overwrite=force))

@@ -1,5 +1,9 @@
-"""Files of runs, in the VTKHDF layout, which ParaView and PyVista open as they are."""
+"""Files of runs, in the VTKHDF layout, which ParaView and PyVista open as they are, and particles of other programs."""
 
-from jaxmps.io.vtkhdf import UNITS, Writer, read
-
-__all__ = ["UNITS", "Writer", "read"]
+from jaxmps.io._text import TYPES as TYPES
+from jaxmps.io.exchange import FORMATS as FORMATS
+from jaxmps.io.exchange import export as export
+from jaxmps.io.exchange import particles_from as particles_from
+from jaxmps.io.vtkhdf import UNITS as UNITS
+from jaxmps.io.vtkhdf import Writer as Writer
+from jaxmps.io.vtkhdf import read as read

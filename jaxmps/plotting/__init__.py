@@ -7,3 +7,5 @@ from jaxmps.plotting.curves import front as front
 from jaxmps.plotting.failure import failure as failure
 from jaxmps.plotting.flow import frame as frame
 from jaxmps.plotting.panels import panels as panels
+from jaxmps.plotting.player import Player as Player
+from jaxmps.plotting.player import player as player
