@@ -24,6 +24,8 @@ from jaxmps.status import FATAL, SimulationWarning, Status
 from jaxmps.stepping import State, density_and_surface, largest_step
 from jaxmps.validation import positive
 
+_MOST_FRAMES = 1_000_000  # a mistyped time, not a plan
+
 
 def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
     """The state at t = 0 with its neighbor list allocated. Not for use under jit.
@@ -90,6 +92,8 @@ def simulate(
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
+    if until / save_every > _MOST_FRAMES:
+        raise ValueError(f"save_every must leave at most {_MOST_FRAMES} frames up to {until:g} s, got {save_every:g} s")
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     key = jax.random.key(0) if key is None else key
     state = _start(case, scheme) if start is None else start
