@@ -199,6 +199,15 @@ def test_a_time_step_far_too_large_ends_the_run_and_keeps_its_frames(copy):
     assert Path("failed/final.png").stat().st_size > 0
 
 
+def test_half_the_time_step_completes_that_run_with_a_warning_for_each_halving(copy):
+    line = (*TINY[:-1], 0.1, "--until", 0.2, "--save-every", 0.1, "--on-blowup", "halve-dt", "--out", "halved")
+    result = call(*line)
+    assert result.code == 0 and result.err.startswith("warning: the run blew up and went on from its last frame")
+    halvings = [e for e in read("halved/run.vtkhdf").status.events if e.status == Status.HALVED]
+    assert len(halvings) == result.err.count("half the time step") >= 1
+    assert not Path("halved/failure.png").exists()
+
+
 def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
     save, saved = Recorder.save, []
 
