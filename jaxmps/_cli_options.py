@@ -19,6 +19,12 @@ Settings = Annotated[
     ),
 ]
 
+Types = Annotated[
+    str,
+    typer.Option(help="Meaning of a .prof's types, NUMBER=KIND or NUMBER=KIND:PHASE with commas in between."),
+]
+USUAL_TYPES = "0=fluid,2=wall,3=dummy,-1=removed"
+
 
 def real(text: str) -> Any:
     """An option that takes a number."""

@@ -69,6 +69,19 @@ def open_run(file: Path) -> tuple[Path, "Run"]:
     return path, result
 
 
+def frames_of(text: str, count: int) -> list[int]:
+    """The frame of that number, or all."""
+    if text == "all":
+        return list(range(count))
+    try:
+        frame = int(text)
+    except ValueError:
+        raise ValueError(f"frame must be a whole number or all, got {text}") from None
+    if not -count <= frame < count:
+        raise ValueError(f"frame must be between {-count} and {count - 1}, got {frame}")
+    return [frame % count]
+
+
 def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
     """Writes summary and picture of a run, prints how it went, and gives the exit code."""
     from jaxmps import plotting
@@ -78,9 +91,14 @@ def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
     paths["summary.json"].write_text(text + "\n", encoding="utf-8")
     plotting.frame(result).savefig(paths["final.png"], dpi=150)
     print_table("result", {key: _with_unit(key, value) for key, value in summary.items()})
-    for path in paths.values():
-        print(path)
-    return _verdict(result, f"{len(result)} frames are in {paths['run.vtkhdf']}")
+    for name, path in paths.items():
+        if name != "failure.png":
+            print(path)
+    kept = f"{len(result)} frames are in {paths['run.vtkhdf']}"
+    if result.status.fatal is not None:
+        plotting.failure(result).savefig(paths["failure.png"], dpi=150)
+        kept += f", and a picture of the place is {paths['failure.png']}"
+    return _verdict(result, kept)
 
 
 def _verdict(result: "Run", kept: str) -> int:
@@ -88,10 +106,10 @@ def _verdict(result: "Run", kept: str) -> int:
     events, ends = result.status.events, FATAL | Status.INTERRUPTED
     if result.status.completed:
         for event in events:
-            say("warning", str(event))
+            say("warning", f"{event}. Advice: {event.advice}")
         return 0
     cause = Outcome(tuple(event for event in events if event.status & ends))
-    return fail(f"{cause}; {kept}", FAILED if cause.flags & FATAL else INTERRUPTED)
+    return fail(f"{cause}; {kept}. Advice: {cause.advice}", FAILED if cause.flags & FATAL else INTERRUPTED)
 
 
 def tell(result: "Run") -> None:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxmps import cases, schemes
 from jaxmps.case import Case
 from jaxmps.description import describe
+from jaxmps.particles import Kind
 from jaxmps.scheme import Scheme
 from jaxmps.validation import between, one_of, positive
 
@@ -98,6 +99,22 @@ def check_times(until: float, save_every: float, dt: float | None) -> dict[str, 
         "save_every": positive("save-every", save_every, "s"),
         "dt": None if dt is None else positive("dt", dt, "s"),
     }
+
+
+def types_of(text: str) -> dict[int, tuple[Kind, int]]:
+    """The meaning of a .prof's types from text such as `0=fluid,1=fluid:1,2=wall`."""
+    found = {}
+    for entry in text.split(","):
+        number, _, meaning = entry.partition("=")
+        kind, _, phase = meaning.strip().partition(":")
+        try:
+            found[int(number)] = (Kind[kind.upper()], int(phase or 0))
+        except (KeyError, ValueError):
+            kinds = ", ".join(kind.name.lower() for kind in Kind)
+            raise ValueError(
+                f"--types must be NUMBER=KIND or NUMBER=KIND:PHASE, with KIND one of {kinds}, got {entry}"
+            ) from None
+    return found
 
 
 def _factories(module: Any, result: type) -> dict[str, Factory]:

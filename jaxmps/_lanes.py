@@ -121,7 +121,7 @@ class Lanes:
 
     def _note(self, lanes: np.ndarray, bit: Status) -> None:
         for lane in np.flatnonzero(lanes):
-            self._notes[lane].append(happened(self._states()[lane], bit))
+            self._notes[lane].append(happened(self._states()[lane], bit, self._cases[lane].spacing))
 
     def _states(self) -> list[State]:
         return [jax.tree.map(lambda x, k=k: x[k], self._state) for k in range(len(self._going))]

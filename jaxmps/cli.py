@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from jaxmps._cli_ensemble import ensemble, gather
-from jaxmps._cli_options import Color, File, Force, Settings, prepare_jax, real, whole
+from jaxmps._cli_options import USUAL_TYPES, Color, File, Force, Settings, Types, prepare_jax, real, whole
 from jaxmps._cli_output import (
     FAILED,
     INTERRUPTED,
@@ -16,6 +16,7 @@ from jaxmps._cli_output import (
     catalog,
     conclude,
     fail,
+    frames_of,
     open_run,
     prepare,
     print_table,
@@ -77,13 +78,14 @@ def run(
     seed: Annotated[int, whole("Seed of noise and jitter.")] = 0,
     jitter: Annotated[float, real("Random displacement at the start, in spacings.")] = 0.0,
     precision: Annotated[str, typer.Option(help="single or double.")] = "double",
+    on_blowup: Annotated[str, typer.Option(help="stop, or halve-dt: go back a frame and take half the step.")] = "stop",
     out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
     settings: Settings = None,
     force: Force = False,
 ) -> int:
-    """Run a case: writes run.vtkhdf, summary.json and final.png."""
+    """Run a case: writes run.vtkhdf, summary.json and final.png, and failure.png if it ends early."""
     folder = Path(case) if out is None else out
-    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png")}
+    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png", "failure.png")}
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"out must be a directory, got the file {folder}")
     for path in paths.values():
@@ -93,15 +95,18 @@ def run(
 
     from jaxmps import simulation, status
     from jaxmps._cli_values import build, check_times
+    from jaxmps.rescue import ON_BLOWUP
+    from jaxmps.validation import one_of
 
     times = check_times(until, save_every, dt)
+    one_of("on-blowup", on_blowup, ON_BLOWUP)
     made, method = build(case, scheme, spacing, settings or [], jitter, seed)
-    prepare(folder, [paths["summary.json"], paths["final.png"]])
+    prepare(folder, [paths[name] for name in ("summary.json", "final.png", "failure.png")])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", status.SimulationWarning)
         key = jax.random.key(seed)
         file = paths["run.vtkhdf"]
-        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force)
+        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force, on_blowup=on_blowup)
     return conclude(result, paths)
 
 
@@ -187,6 +192,35 @@ def animate(
     prepare(picture.parent)
     plotting.animate(result, picture, color, fps=fps)
     typer.echo(picture)
+
+
+@app.command()
+def export(
+    file: File,
+    to: Annotated[str, typer.Option(help="csv, prof, vtu or vtp.")],
+    frame: Annotated[str, typer.Option(help="Which frame; -1 is the last; or all, each to its file.")] = "-1",
+    out: Annotated[Path | None, typer.Option(help="File; else next to the run's. For all: numbers are added.")] = None,
+    types: Types = USUAL_TYPES,
+    force: Force = False,
+) -> None:
+    """Write particles for other programs."""
+    from jaxmps import io
+    from jaxmps._cli_values import types_of
+    from jaxmps.validation import one_of
+
+    path, result = open_run(file)
+    one_of("to", to, io.FORMATS)
+    if out is not None and out.suffix != f".{to}":
+        raise ValueError(f"out must end in .{to}, got {out}")
+    frames, meaning = frames_of(frame, len(result)), types_of(types)
+    numbered = frame == "all" or out is None
+    base = out or path.with_suffix(f".{to}")
+    files = {k: base.with_name(f"{base.stem}_{k:04d}.{to}") if numbered else base for k in frames}
+    for made in files.values():
+        refuse(made, force)
+    prepare(base.parent)
+    for k, made in files.items():
+        typer.echo(io.export(result, made, k, types=meaning, overwrite=force))
 
 
 app.command()(ensemble)

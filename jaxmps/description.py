@@ -10,6 +10,21 @@ import equinox as eqx
 import jax
 import numpy as np
 
+UNITS = {
+    "time": "s",
+    "position": "m",
+    "velocity": "m/s",
+    "pressure": "Pa",
+    "number_density": "1",
+    "surface": "1",
+    "kind": "1",
+    "phase": "1",
+    "density": "kg/m^3",
+    "spacing": "m",
+    "energy": "J/kg",
+}
+"""Of what a `Run` holds."""
+
 
 def describe(module: eqx.Module) -> dict[str, Any]:
     """Every part and value of a module by its dotted name, such as `source.relaxation`; parts by their class."""

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
+from scipy.spatial import KDTree
 
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
@@ -58,7 +59,16 @@ class Loop:
         return Outcome(events(self.log) + self._noted)
 
     def note(self, bit: Status) -> None:
-        self._noted = (*self._noted, happened(self.state, bit))
+        self._noted = (*self._noted, happened(self.state, bit, self.case.spacing))
+
+    def halve(self, event: Event) -> None:
+        """Takes half the time step from here on, fixed or adaptive, and notes why."""
+        if self.dt is None:
+            rule = jax.tree.map(lambda limit: 0.5 * limit, self.scheme.time_step)
+            self.scheme = eqx.tree_at(lambda s: s.time_step, self.scheme, rule)
+        else:
+            self.dt = 0.5 * self.dt
+        self._largest, self._noted = 0.5 * self._largest, (*self._noted, event)
 
     def reach(self, target: float, bar: Meter) -> None:
         """Steps until the time `target` [s], or to the last good state before a failure."""
@@ -99,16 +109,22 @@ def frame_times(begin: float, until: float, save_every: float) -> list[float]:
     return [begin, *(min(frame * save_every, until) for frame in range(first, last + 1))]
 
 
-def happened(state: State, bit: Status) -> Event:
-    """The event that a run ended with at this state; of a collapsed time step with the fastest particle."""
+def happened(state: State, bit: Status, spacing: float) -> Event:
+    """The event that a run ended with at this state: of a collapsed time step with the fastest particle, of clusters
+    with one of the closest.
+    """
     event = Event(int(bit), float(state.time), int(state.step))
-    if bit != Status.TIME_STEP_COLLAPSED:
+    if bit not in (Status.TIME_STEP_COLLAPSED, Status.CLUSTERED):
         return event
-    particles = state.particles
-    speed = np.linalg.norm(np.where(np.asarray(particles.fluid)[:, None], particles.velocity, 0.0), axis=1)
-    fastest = int(np.argmax(speed))
-    place = tuple(np.asarray(particles.position[fastest]).tolist())
-    return dataclasses.replace(event, particle=fastest, position=place, value=float(speed[fastest]))
+    fluid = np.flatnonzero(state.particles.fluid)
+    position = np.asarray(state.particles.position)[fluid]
+    if bit == Status.TIME_STEP_COLLAPSED:
+        speed = np.linalg.norm(np.asarray(state.particles.velocity)[fluid], axis=1)
+        found, value = int(np.argmax(speed)), float(speed.max())
+    else:
+        distance = KDTree(position).query(position, k=2)[0][:, 1]
+        found, value = int(np.argmin(distance)), float(distance.min()) / spacing
+    return dataclasses.replace(event, particle=int(fluid[found]), position=tuple(position[found].tolist()), value=value)
 
 
 def advance_chunk(

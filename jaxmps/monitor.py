@@ -145,7 +145,8 @@ def empty_log(dim: int) -> Log:
 def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Particles, time: Scalar, step: Array) -> Log:
     """The log with one more step; `particles` and `time` [s] are those at the step's start."""
     status, none = info.status, jnp.zeros_like(info.residual)
-    raised = jnp.stack([(status & int(bit)) != 0 for bit in BITS])
+    # From a step that is not taken nobody escapes.
+    raised = jnp.stack([((status & int(bit)) != 0) & (accepted | (bit != Status.ESCAPED)) for bit in BITS])
     first = raised & (log.count == 0)
     amount = jnp.where(jnp.array([bit == Status.ESCAPED for bit in BITS]), info.escaped, 1)
     value = jnp.stack([none, info.travel, none, info.residual, none])

@@ -1,12 +1,21 @@
 """Progress bars of runs (time, Δt, speed, simulated seconds per wall second) and of tuning, with the expected end."""
 
+import io
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 
 class Meter:
@@ -75,12 +84,31 @@ def counter(total: int, visible: bool | None, what: str) -> Iterator[Callable[[i
 @contextmanager
 def _bar(columns: Sequence[ProgressColumn], visible: bool | None) -> Iterator[Progress | None]:
     """A bar with these columns and the time that is left; None if it is not visible."""
-    console = Console(file=sys.stderr) if "ipykernel" not in sys.modules else Console()
-    if visible is None:
-        visible = console.is_terminal or console.is_jupyter
-    if not visible:
+    notebook = Console().is_jupyter
+    console = Console(file=io.StringIO(), force_jupyter=False) if notebook else Console(file=sys.stderr)
+    if not (notebook or console.is_terminal if visible is None else visible):
         yield None
         return
     every = [BarColumn(24), *columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()]
-    with Progress(*every, console=console, transient=True) as progress:
+    kind = _InNotebook if notebook else Progress
+    with kind(*every, console=console, transient=True, auto_refresh=not notebook) as progress:
         yield progress
+
+
+class _InNotebook(Progress):
+    """A bar in the output of a notebook's cell; rich's own is an invisible one without ipywidgets."""
+
+    def start(self) -> None:
+        from IPython.display import DisplayHandle
+
+        self._shown = DisplayHandle()
+        self._shown.display({"text/plain": ""}, raw=True)
+
+    def stop(self) -> None:
+        self._shown.update({"text/plain": ""}, raw=True)
+
+    def update(self, task_id: TaskID, **fields: Any) -> None:  # type: ignore[override]
+        super().update(task_id, **fields)
+        page = Console(file=io.StringIO(), force_jupyter=False, width=120)
+        page.print(self.get_renderable())
+        self._shown.update({"text/plain": page.file.getvalue()}, raw=True)  # type: ignore[attr-defined]

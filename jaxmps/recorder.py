@@ -79,7 +79,9 @@ class Recorder:
     def save(self, state: State) -> None:
         """Adds the state as a frame, unless it is the last one already."""
         p, time = state.particles, float(state.time)
-        if self._times and self._times[-1] == time:
+        if not self._times:
+            self._removed = int(np.sum(np.asarray(p.kind) == Kind.REMOVED))
+        elif self._times[-1] == time:
             return
         energy = _energy(p, self._case.density, self._case.gravity)
         frame: dict[str, Any] = jax.device_get(fields(state))
@@ -102,6 +104,7 @@ class Recorder:
             "scheme": self._metadata["scheme"]["name"],
             "particles": len(kind),
             "fluid_particles": int(np.sum(kind == Kind.FLUID)),
+            "escaped": int(np.sum(kind == Kind.REMOVED)) - self._removed,
             "steps": steps,
             "time": float(state.time),
             "status": str(outcome),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmps import _views
 from jaxmps.particles import Kind
 from jaxmps.status import Outcome
 
@@ -62,6 +63,38 @@ class Run:
             f"Run({_name(self.metadata, 'case')}, {_name(self.metadata, 'scheme')}: "
             f"{frames} frames of {particles} particles in {dim}-D{span}; {self.status})"
         )
+
+    def _repr_html_(self) -> str:
+        frames, particles, dim = self.position.shape
+        kinds = self.kind[-1] if frames else np.zeros(0)
+        counts = ", ".join(f"{np.sum(kinds == kind)} {kind.name.lower()}" for kind in Kind if np.any(kinds == kind))
+        span = f", t = {self.time[0]:.6g} to {self.time[-1]:.6g} s" if frames else ""
+        rows = {
+            "case": _name(self.metadata, "case"),
+            "scheme": _name(self.metadata, "scheme"),
+            "particles": f"{particles} in {dim}-D, at the end {counts}",
+            "spacing": f"{self.spacing:g} m",
+            "frames": f"{frames}{span}",
+            "steps": self.summary.get("steps", "unknown"),
+            "status": self.status,
+        }
+        rows |= {"advice": self.status.advice} if self.status.advice else {}
+        rows |= {"file": self.path} if self.path else {}
+        return _views.table("Run", rows)
+
+    def to_xarray(self) -> Any:
+        """All frames as an `xarray.Dataset`: dimensions time, particle and axis, units as attributes.
+
+        Raises `ImportError` without xarray.
+        """
+        return _views.dataset(self)
+
+    def to_pyvista(self, frame: int = -1) -> Any:
+        """A frame as a `pyvista.PolyData` with point data, SI units; in 2-D the third component is zero.
+
+        Raises `IndexError` for a frame that is not there, `ImportError` without PyVista.
+        """
+        return _views.cloud(self, frame)
 
 
 def _name(metadata: dict[str, Any], key: str) -> str:

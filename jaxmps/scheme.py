@@ -3,7 +3,9 @@
 import equinox as eqx
 
 from jaxmps._types import Scalar, as_array
+from jaxmps._views import table
 from jaxmps.collision import AbstractCollision
+from jaxmps.description import describe
 from jaxmps.free_surface import AbstractFreeSurface, AbstractSurfaceCondition, AtCenters
 from jaxmps.operators import AbstractGradient, AbstractLaplacian, KernelLaplacian
 from jaxmps.phases import AbstractInterface, PairedDensity
@@ -49,3 +51,6 @@ class Scheme(eqx.Module):
     tolerance: float = eqx.field(static=True, default=1e-4)
     max_iterations: int = eqx.field(static=True, default=2000)
     name: str = eqx.field(static=True, default="custom")
+
+    def _repr_html_(self) -> str:
+        return table(f"Scheme {self.name}", {k: v for k, v in describe(self).items() if k != "name"})

@@ -16,11 +16,14 @@ from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.progress import meter
 from jaxmps.recorder import Recorder
+from jaxmps.rescue import Rescue
 from jaxmps.run import Run
 from jaxmps.scheme import Scheme
 from jaxmps.status import FATAL, SimulationWarning, Status
 from jaxmps.stepping import State, density_and_surface, largest_step
 from jaxmps.validation import positive
+
+_MOST_FRAMES = 1_000_000  # a mistyped time, not a plan
 
 
 def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
@@ -72,6 +75,7 @@ def simulate(
     overwrite: bool = False,
     progress: bool | None = None,
     start: State | None = None,
+    on_blowup: str = "stop",
 ) -> Run:
     """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
 
@@ -79,12 +83,16 @@ def simulate(
     table that is too small is enlarged and the step repeated. With `out` the frames go to a VTKHDF file as they are
     made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
     state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
-    same way. `start` carries on from another state.
+    same way. `start` carries on from another state. With `on_blowup="halve-dt"` a run that blows up goes back to its
+    last frame and on from there with half the time step, at most ten times in a row; each is an event of the status.
 
-    Raises `ValueError` for times that are not positive and `FileExistsError` for an existing file.
+    Raises `ValueError` for times that are not positive or an unknown `on_blowup`, `FileExistsError` for an existing
+    file.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
+    if until / save_every > _MOST_FRAMES:
+        raise ValueError(f"save_every must leave at most {_MOST_FRAMES} frames up to {until:g} s, got {save_every:g} s")
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     key = jax.random.key(0) if key is None else key
     state = _start(case, scheme) if start is None else start
@@ -92,15 +100,16 @@ def simulate(
     if begin >= until:
         raise ValueError(f"until must exceed the time of the start, {begin:g} s, got {until:g} s")
     _check_time_step(case, scheme, state, fixed)
-    settings = {"until": until, "save_every": save_every, "dt": dt}
+    settings = {"until": until, "save_every": save_every, "dt": dt, "on_blowup": on_blowup}
     settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
-    recorder = Recorder(case, scheme, settings, out, overwrite)
     loop = Loop(case, scheme, state, fixed, key)
+    rescue = Rescue(loop, on_blowup)
+    recorder = Recorder(case, scheme, settings, out, overwrite)
     recorder.save(state)
     with meter(until, progress) as bar:
         try:
             for time in frame_times(begin, until, save_every)[1:]:
-                loop.reach(time, bar)
+                rescue.reach(time, bar)
                 recorder.save(loop.state)
                 if loop.outcome.flags & FATAL:
                     break
@@ -109,7 +118,7 @@ def simulate(
             loop.note(Status.INTERRUPTED)
     outcome = loop.outcome
     if outcome.events:
-        warnings.warn(str(outcome), SimulationWarning, stacklevel=2)
+        warnings.warn(f"{outcome}. Advice: {outcome.advice}", SimulationWarning, stacklevel=2)
     return recorder.finish(loop.state, loop.log, outcome)
 
 

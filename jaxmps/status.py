@@ -17,6 +17,7 @@ class Status(enum.IntFlag):
     INTERRUPTED = 32
     CLUSTERED = 64
     TIME_STEP_COLLAPSED = 128
+    HALVED = 256
 
 
 FATAL = Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED | Status.TIME_STEP_COLLAPSED
@@ -30,7 +31,27 @@ MESSAGES = {
     Status.INTERRUPTED: "interrupted before its end",
     Status.TIME_STEP_COLLAPSED: "the time step has collapsed: a particle is so fast that the run would never end",
     Status.CLUSTERED: "particles have collapsed into clusters: the neighbor table would have to grow without bound",
+    Status.HALVED: "the run blew up and went on from its last frame with half the time step",
 }
+
+ADVICE = {
+    Status.NOT_FINITE: "look for overlapping particles and values of the scheme far from its defaults, then try a "
+    "smaller time_step.courant or dt",
+    Status.TIME_STEP_TOO_LARGE: "try a smaller dt or time_step.courant, or on_blowup halve-dt; at t = 0, look for "
+    "particles that overlap",
+    Status.TABLE_FULL: "start with a larger capacity",
+    Status.NOT_CONVERGED: "try a larger max_iterations or tolerance; a domain that is full, closed and without a free "
+    "surface leaves the pressure undetermined",
+    Status.ESCAPED: "look at where it left: a wall needs a layer of WALL and ceil(ratio) - 1 layers of DUMMY without "
+    "gaps, one spacing apart; spray over the rim needs a higher box; else try a smaller time step",
+    Status.INTERRUPTED: "run it again, from the start or from the last frame",
+    Status.TIME_STEP_COLLAPSED: "the flow had blown up before: try a smaller time_step.courant, or a scheme with a "
+    "stabilizer; a fixed dt lets the run go on",
+    Status.CLUSTERED: "try a scheme with a stabilizer or collisions, or a smaller time step; look for particles that "
+    "overlap at t = 0",
+    Status.HALVED: "a smaller dt or time_step.courant from the start would not lose these frames' time",
+}
+"""What to try, for each cause."""
 
 
 class SimulationError(RuntimeError):
@@ -62,17 +83,24 @@ class Event:
             text += f", {_VALUE_NAMES.get(Status(self.status), 'value')} {self.value:.3g}"
         return text + (f", {self.count} times in all)" if self.count > 1 else ")")
 
+    @property
+    def advice(self) -> str:
+        """What to try."""
+        return ADVICE[Status(self.status)]
+
 
 _VALUE_NAMES = {
     Status.TIME_STEP_TOO_LARGE: "displacement in spacings",
     Status.NOT_CONVERGED: "relative residual",
     Status.TIME_STEP_COLLAPSED: "speed in m/s",
+    Status.CLUSTERED: "closest distance in spacings",
+    Status.HALVED: "part of the first time step",
 }
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: one `Event` for each kind of trouble, none if all went well."""
+    """How a run ended: one `Event` for each kind of trouble and each halving, none if all went well."""
 
     events: tuple[Event, ...] = field(default=())
 
@@ -88,10 +116,22 @@ class Outcome:
         """Whether the run reached its end; warnings such as a missed tolerance do not count against it."""
         return not self.flags & (FATAL | Status.INTERRUPTED)
 
+    @property
+    def fatal(self) -> Event | None:
+        """What ended the run early, if it failed."""
+        return next((event for event in self.events if event.status & FATAL), None)
+
+    @property
+    def advice(self) -> str:
+        """What to try: against what ended the run, or else against what it warns of; empty if all went well."""
+        ends = FATAL | Status.INTERRUPTED
+        told = self.events if self.completed else tuple(event for event in self.events if event.status & ends)
+        return "; ".join(dict.fromkeys(event.advice for event in told))
+
     def check(self) -> None:
-        """Raises `SimulationError` if the run did not reach its end."""
+        """Raises `SimulationError`, with what to try, if the run did not reach its end."""
         if not self.completed:
-            raise SimulationError(str(self))
+            raise SimulationError(f"{self}. Advice: {self.advice}")
 
     def __str__(self) -> str:
         return "; ".join(str(event) for event in self.events) or "completed"

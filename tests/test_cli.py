@@ -128,6 +128,7 @@ FAULTS = [
     ("run dam_break --seed 1.5", "seed whole 1.5"),
     ("run dam_break --jitter nan", "jitter finite nan"),
     ("run dam_break --jitter 0.5", "jitter between 0.5"),
+    ("run dam_break --spacing 0.1 --on-blowup pray", "on-blowup stop halve-dt pray"),
     ("run dam_break --precision half", "precision single double half"),
     ("run dam_break --out copy", "copy/run.vtkhdf exists --force"),
     ("run dam_break --out copy/final.png", "out directory copy/final.png"),
@@ -189,11 +190,22 @@ def test_a_time_step_far_too_large_ends_the_run_and_keeps_its_frames(copy):
     assert result.err.startswith("error: time step too large: a particle moved")
     assert all(word in result.err for word in ("t = ", "step ", "particle ", " at (", "frames"))
     assert result.err.count("\n") == 1
+    assert "failed/failure.png" in result.err and "Advice: try a smaller dt" in result.err
+    assert Path("failed", "failure.png").stat().st_size > 0
     run, summary = read("failed/run.vtkhdf"), json.loads(Path("failed/summary.json").read_text())
     assert len(run) >= 1
     assert run.status.flags & Status.TIME_STEP_TOO_LARGE
     assert summary["status"] == str(run.status)
     assert Path("failed/final.png").stat().st_size > 0
+
+
+def test_half_the_time_step_completes_that_run_with_a_warning_for_each_halving(copy):
+    line = (*TINY[:-1], 0.1, "--until", 0.2, "--save-every", 0.1, "--on-blowup", "halve-dt", "--out", "halved")
+    result = call(*line)
+    assert result.code == 0 and result.err.startswith("warning: the run blew up and went on from its last frame")
+    halvings = [e for e in read("halved/run.vtkhdf").status.events if e.status == Status.HALVED]
+    assert len(halvings) == result.err.count("half the time step") >= 1
+    assert not Path("halved/failure.png").exists()
 
 
 def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
@@ -223,7 +235,7 @@ def test_events_that_do_not_end_a_run_are_warnings(copy):
     err = io.StringIO()
     with contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()):
         assert conclude(run, {name: copy / name for name in FILES}) == 0
-    assert err.getvalue() == f"warning: {event}\n"
+    assert err.getvalue() == f"warning: {event}. Advice: {event.advice}\n"
 
 
 def test_numbers_that_json_does_not_know_become_null(copy):

@@ -61,6 +61,11 @@ def test_a_run_carries_on_from_a_state(scheme):
         mps.simulate(case, scheme, until=0.01, start=state)
 
 
+def test_a_mistyped_time_between_frames_is_refused(scheme):
+    with pytest.raises(ValueError, match=r"save_every must leave at most 1000000 frames up to 1e\+300 s, got 0.01 s"):
+        mps.simulate(dam(), scheme, until=1e300, save_every=0.01)
+
+
 def test_a_time_step_far_too_large_stops_with_cause_time_particle_and_place(scheme, tmp_path):
     case = dam(0.05)
     with pytest.warns(mps.SimulationWarning, match="time step too large"):

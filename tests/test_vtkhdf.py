@@ -112,6 +112,24 @@ def test_pyvista_opens_the_file_as_it_is(tmp_path: Path, dim: int, dtype: str) -
 
 
 @LAYOUTS
+def test_pyvista_goes_through_all_times_with_all_fields(tmp_path: Path, dim: int, dtype: str) -> None:
+    pyvista = pytest.importorskip("pyvista")
+    frames = write(tmp_path / "run.vtkhdf", dim, dtype)
+    reader = pyvista.get_reader(tmp_path / "run.vtkhdf")
+    assert reader.reader.GetNumberOfSteps() == FRAMES
+    for k, values in reversed(list(enumerate(frames))):
+        reader.reader.SetStep(k)  # its HDFReader has no times of its own, and passes on those of VTK
+        cloud = reader.read()
+        assert cloud.n_points == cloud.n_verts == PARTICLES
+        np.testing.assert_array_equal(cloud.points, padded(values["position"]))
+        np.testing.assert_array_equal(cloud["velocity"], padded(values["velocity"]))
+        for name in ("pressure", "number_density", "surface", "kind"):
+            np.testing.assert_array_equal(cloud[name], values[name], err_msg=f"{name} of step {k}")
+        np.testing.assert_array_equal(cloud["phase"], PHASE)
+        np.testing.assert_array_equal(cloud["density"], DENSITY)
+
+
+@LAYOUTS
 def test_read_gives_back_what_was_written(tmp_path: Path, dim: int, dtype: str) -> None:
     frames = write(tmp_path / "run.vtkhdf", dim, dtype)
     run = read(tmp_path / "run.vtkhdf")

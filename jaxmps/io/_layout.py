@@ -17,6 +17,7 @@ FIXED = ("phase", "density")
 _LIBVER = ("earliest", "v110")
 # A dataset of more chunks has its chunk index rebuilt; a SIGKILL amid that could cost frames.
 _CHUNKS = 64
+_MOST_ROWS = 100_000_000  # of a chunk: HDF5 has none of 4 GiB
 _STEP_ROWS = 512
 
 
@@ -27,7 +28,7 @@ def create(path: Path, particles: int, dtype: np.dtype, frames: int) -> None:
         root.attrs["Version"] = np.array([2, 0])
         # The readers take a string of fixed length only.
         root.attrs["Type"] = np.bytes_("PolyData")
-        _create_mesh(root, particles, dtype, rows=particles * math.ceil(frames / _CHUNKS))
+        _create_mesh(root, particles, dtype, rows=min(particles * math.ceil(frames / _CHUNKS), _MOST_ROWS))
         _create_steps(root)
 
 

@@ -13,24 +13,12 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
+from jaxmps.description import UNITS
 from jaxmps.io import _layout
 from jaxmps.run import Run
 from jaxmps.status import Event, Outcome, Status
 
 FORMAT = 1
-UNITS = {
-    "time": "s",
-    "position": "m",
-    "velocity": "m/s",
-    "pressure": "Pa",
-    "number_density": "1",
-    "surface": "1",
-    "kind": "1",
-    "phase": "1",
-    "density": "kg/m^3",
-    "spacing": "m",
-    "energy": "J/kg",
-}
 
 
 class Writer:

@@ -73,6 +73,8 @@ def _divide(wanted: float, periodic: bool) -> int:
     numbers = sorted({q << p for q in (2, 3, 5) for p in range(24)})
     if periodic:
         return min(numbers, key=lambda m: abs(math.log(m / wanted)))
+    if wanted > numbers[-1]:
+        raise ValueError(f"the box must be at most {numbers[-1]} grid cells long on each axis, got {wanted:.3g}")
     return next(m for m in numbers if m >= wanted)
 
 

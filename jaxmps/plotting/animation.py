@@ -1,6 +1,6 @@
 """Animations of runs, as GIF or MP4."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,17 +49,22 @@ def animate(
     return out
 
 
+def indexed_pictures(scene: Scene, frames: Iterable[int]) -> Iterator[Any]:
+    """Pictures of the frames, as images of one palette."""
+    colors = _palette(scene.colormap)
+    table = _nearest(colors)
+    return (_indexed(pixels, colors, table) for pixels in _pictures(scene, frames))
+
+
 def _write_gif(scene: Scene, path: Path, fps: float) -> None:
     # GIF counts in hundredths of a second, and viewers slow down below two.
     duration = 10 * max(round(100.0 / fps), 2)
-    colors = _palette(scene.colormap)
-    table = _nearest(colors)
-    frames = (_indexed(pixels, colors, table) for pixels in _pictures(scene))
+    frames = indexed_pictures(scene, range(len(scene.run)))
     durations = [duration] * (len(scene.run) - 1) + [max(duration, _LAST)]
     next(frames).save(path, save_all=True, append_images=frames, duration=durations, loop=0, disposal=1)
 
 
-def _pictures(scene: Scene) -> Iterator[np.ndarray]:
+def _pictures(scene: Scene, frames: Iterable[int]) -> Iterator[np.ndarray]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(scene.figure)
@@ -71,7 +76,7 @@ def _pictures(scene: Scene) -> Iterator[np.ndarray]:
             artist.set_animated(True)
         canvas.draw()
         still = canvas.copy_from_bbox(scene.figure.bbox)
-    for index in range(len(scene.run)):
+    for index in frames:
         scene.show(index)
         if flat:
             canvas.restore_region(still)
