@@ -4,7 +4,7 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,6 +23,9 @@ from jaxmps._cli_output import (
     tell,
 )
 
+if TYPE_CHECKING:
+    from jaxmps.casefile import Setup
+
 app = typer.Typer(add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")
 
 
@@ -38,7 +41,7 @@ def main(argv: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return fail("interrupted", INTERRUPTED)
     except ValueError as error:
-        return fail(str(error), WRONG_INPUT)
+        return max(fail(fault, WRONG_INPUT) for fault in getattr(error, "faults", (str(error),)))
     except OSError as error:
         return fail(str(error), FAILED)
     except Exception as error:
@@ -68,47 +71,105 @@ def _top(
 
 @app.command()
 def run(
-    case: Annotated[str, typer.Argument(help="One of `jaxmps cases`.")],
-    scheme: Annotated[str, typer.Option(help="One of `jaxmps schemes`.")] = "mps",
+    case: Annotated[str, typer.Argument(help="One of `jaxmps cases`, or a case file (.toml).")],
+    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
     spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
-    until: Annotated[float, real("Time in s at which the run ends.")] = 2.0,
-    save_every: Annotated[float, real("Time in s from frame to frame.")] = 0.02,
+    until: Annotated[float | None, real("Time in s at which the run ends; else the file's, or 2.")] = None,
+    save_every: Annotated[float | None, real("Time in s from frame to frame; else the file's, or 0.02.")] = None,
     dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,
-    seed: Annotated[int, whole("Seed of noise and jitter.")] = 0,
-    jitter: Annotated[float, real("Random displacement at the start, in spacings.")] = 0.0,
-    precision: Annotated[str, typer.Option(help="single or double.")] = "double",
+    seed: Annotated[int | None, whole("Seed of noise and jitter; else the file's, or 0.")] = None,
+    jitter: Annotated[float | None, real("Random displacement at the start, in spacings; else the file's.")] = None,
+    precision: Annotated[str | None, typer.Option(help="single or double; else the file's, or double.")] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
     settings: Settings = None,
     force: Force = False,
 ) -> int:
-    """Run a case: writes run.vtkhdf, summary.json and final.png."""
-    folder = Path(case) if out is None else out
+    """Run a case: writes run.vtkhdf, summary.json and final.png, and probes.csv if its file has probes."""
+    folder = Path(Path(case).stem if case.endswith(".toml") else case) if out is None else out
     paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png")}
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"out must be a directory, got the file {folder}")
     for path in paths.values():
         refuse(path, force)
-    if precision not in ("single", "double"):
-        raise ValueError(f"precision must be single or double, got {precision}")
+    options = {"until": until, "save_every": save_every, "dt": dt, "seed": seed, "jitter": jitter}
+    setup = _prepare(case, scheme, spacing, settings, {**options, "precision": precision})
+    if setup.probes:
+        paths["probes.csv"] = folder / "probes.csv"
+        refuse(paths["probes.csv"], force)
+    from jaxmps import simulation, status
+    from jaxmps._compilation import keep_compiled
+
+    keep_compiled()
+    prepare(folder, [path for name, path in paths.items() if name != "run.vtkhdf"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", status.SimulationWarning)
+        import jax
+
+        key = jax.random.key(setup.run.seed)
+        file = paths["run.vtkhdf"]
+        result = simulation.simulate(setup.case, setup.scheme, **setup.times, key=key, out=file, overwrite=force)
+    return conclude(result, paths, setup.probes)
+
+
+def _prepare(
+    case: str,
+    scheme: str | None,
+    spacing: float | None,
+    settings: list[str] | None,
+    options: dict[str, Any],
+) -> "Setup":
+    """Case, scheme and times of a command; JAX is set to the precision that was asked for."""
     # Loading a program from the cache makes XLA print pages about two processor flags that are none.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
-    jax.config.update("jax_enable_x64", precision == "double")
-    from jaxmps import simulation, status
-    from jaxmps._cli_values import build, check_times
-    from jaxmps._compilation import keep_compiled
+    from jaxmps._cli_values import build, check_options
+    from jaxmps.casefile import CaseFile, RunTable, Setup
 
-    keep_compiled()
-    times = check_times(until, save_every, dt)
-    made, method = build(case, scheme, spacing, settings or [], jitter, seed)
-    prepare(folder, [paths["summary.json"], paths["final.png"]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", status.SimulationWarning)
-        key = jax.random.key(seed)
-        file = paths["run.vtkhdf"]
-        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force)
-    return conclude(result, paths)
+    given = check_options(options)
+    file = CaseFile(case) if case.endswith(".toml") else None
+    table = RunTable(**given) if file is None else file.run.model_copy(update=given)
+    jax.config.update("jax_enable_x64", table.precision == "double")
+    if file is not None:
+        return file.build(scheme, spacing, settings or [], given)
+    made, method = build(case, scheme or "mps", spacing, settings or [], table.jitter, table.seed)
+    return Setup(made, method, (), table)
+
+
+@app.command()
+def check(
+    case: Annotated[str, typer.Argument(help="A case file (.toml), or one of `jaxmps cases`.")],
+    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
+    spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
+    settings: Settings = None,
+    out: Annotated[Path | None, typer.Option(help="Picture; else named after the case.")] = None,
+    force: Force = False,
+) -> None:
+    """Check a case before it runs: draws it, counts particles, and estimates steps, memory and time."""
+    picture = out or Path(f"{Path(case).stem}.png")
+    refuse(picture, force)
+    setup = _prepare(case, scheme, spacing, settings, {})
+    from jaxmps import casefile
+    from jaxmps._cli_output import say
+
+    report = casefile.check(setup)
+    prepare(picture.parent)
+    casefile.draw(setup).savefig(picture, dpi=150)
+    print_table(f"{setup.case.name}, {setup.scheme.name}", report.content)
+    print_table("expected", report.expected)
+    for warning in report.warnings:
+        say("warning", warning)
+    typer.echo(picture)
+
+
+@app.command()
+def new(
+    case: Annotated[str, typer.Argument(help="tank, or one of `jaxmps cases`.")] = "tank",
+) -> None:
+    """Print a case file to start from, with comments: an own geometry, or a built-in case with all its arguments."""
+    from jaxmps import casefile
+
+    typer.echo(casefile.template(case), nl=False)
 
 
 @app.command()
