@@ -75,7 +75,7 @@ def _steps(setup: Setup) -> tuple[int, int]:
     return math.ceil(run.until / start), max(math.ceil(run.until / fast), math.ceil(run.until / run.save_every))
 
 
-def _file_size(setup: Setup) -> float:
+def _file_size(setup: Setup) -> int:
     number = 4 if setup.run.precision == "single" else 8
     frames = math.ceil(setup.run.until / setup.run.save_every) + 1
     return frames * len(setup.case.particles.kind) * (8 * number + 2)

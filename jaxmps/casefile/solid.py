@@ -119,7 +119,9 @@ def wall_layers(
     the surface.
     """
     behind = np.full(np.prod(grid.shape), np.inf)
-    owner = np.zeros(len(behind), int)
+    if not tables:
+        return np.full(len(behind), -1), np.zeros(len(behind), bool)
+    owner, obstacles = np.zeros(len(behind), int), np.zeros(len(behind), bool)
     outside = [k for k, table in enumerate(tables) if table.side == "outside"]
     for k in outside:
         owner = np.where(-depth[k] < behind, k, owner)
@@ -130,12 +132,12 @@ def wall_layers(
         if table.side == "inside":
             owner = np.where(depth[k] > behind, k, owner)
             behind = np.maximum(behind, depth[k])
+            obstacles |= depth[k] > 0.0
     most = np.array(counts, int)[owner]
     solid = (behind > 0.0) & (behind < most * grid.spacing)
-    solid |= np.any([depth[k] > 0.0 for k, t in enumerate(tables) if t.side == "inside"] or [np.zeros(1, bool)], axis=0)
     position = grid.middles
     for k in outside:
         solid &= (owner != k) | ~beyond(position, tables[k].open, meshes[k].bounds)
     with np.errstate(invalid="ignore"):
         layer = np.floor(np.where(np.isfinite(behind), behind, 0.0) / grid.spacing + 1e-6).astype(int)
-    return np.where(solid & np.isfinite(behind) & (layer < most), layer, -1), solid
+    return np.where(solid & (layer < most), layer, -1), solid | obstacles

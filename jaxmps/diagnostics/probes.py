@@ -1,11 +1,10 @@
 """What instruments would read in a run: pressure at points and walls, and the height of the surface."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from jaxmps.diagnostics.surface import surge_front
@@ -16,7 +15,9 @@ from jaxmps.validation import positive
 _RADIUS = 2.1  # [spacings] of the mean of a pressure
 
 
-def pressure_at(run: Run, points: ArrayLike, radius: float | None = None) -> Float[np.ndarray, "m points"]:
+def pressure_at(
+    run: Run, points: Sequence[Any] | np.ndarray, radius: float | None = None
+) -> Float[np.ndarray, "m points"]:
     """Pressure [Pa] in each frame at `points` `(points, d)` [m]: the mean over the fluid and wall particles within
     `radius` [m] (2.1 spacings), weighted with (1 − r / radius)².
 
@@ -40,7 +41,7 @@ def pressure_at(run: Run, points: ArrayLike, radius: float | None = None) -> Flo
 
 
 def pressure_along(
-    run: Run, start: ArrayLike, end: ArrayLike, radius: float | None = None
+    run: Run, start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray, radius: float | None = None
 ) -> tuple[Float[np.ndarray, "points d"], Float[np.ndarray, "m points"]]:
     """Points about one spacing apart on the segment from `start` to `end` [m], such as the face of a wall, and the
     pressure there [Pa] by `pressure_at`. The points are the middles of equal pieces: their mean is that of the segment.
