@@ -2,11 +2,13 @@
 
 import contextlib
 import csv
+import dataclasses
 import io
 import math
 import tomllib
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -162,6 +164,20 @@ def test_fluid_drawn_over_an_obstacle_keeps_clear_of_it(file):
     assert np.linalg.norm(position[fluid] - 0.5, axis=1).min() > 0.2 - 0.25 * 0.05
     assert KDTree(position[~fluid]).query(position[fluid])[0].min() >= 0.7 * 0.05 * (1 - 1e-6)
     assert fluid.sum() * 0.05**2 == pytest.approx(1.0 - math.pi * 0.04, rel=0.01)
+
+
+def test_fluid_drawn_over_the_walls_of_its_tank_fills_the_tank(file, tmp_path):
+    tank = 'circle = { center = [0.5, 0.5], radius = 0.4 }\nside = "outside"'
+    case = read(file(TANK.format(body="box = [[-1.0, -1.0], [2.0, 0.5]]", wall=tank).replace("0.05", "0.02"))).case
+    fluid, position = np.asarray(case.particles.fluid), np.asarray(case.particles.position)
+    assert np.linalg.norm(position[fluid] - 0.5, axis=1).max() < 0.4
+    assert fluid.sum() * 0.02**2 == pytest.approx(0.5 * math.pi * 0.16, rel=0.01)
+    trimesh.creation.icosphere(subdivisions=4, radius=0.4).export(tmp_path / "ball.stl")
+    text = alone("box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 0.0]]", 0.04, "[0.0, 0.0, -9.81]")
+    case = read(file(text + '[[wall]]\nstl = "ball.stl"\nside = "outside"\n')).case
+    fluid, position = np.asarray(case.particles.fluid), np.asarray(case.particles.position)
+    assert np.linalg.norm(position[fluid], axis=1).max() < 0.4 <= np.linalg.norm(position[~fluid], axis=1).min() + 0.002
+    assert fluid.sum() * 0.04**3 == pytest.approx(2.0 / 3.0 * math.pi * 0.064, rel=0.02)
 
 
 def test_a_later_body_takes_the_place_of_an_earlier_one(file):
@@ -323,14 +339,25 @@ def test_check_counts_estimates_and_draws_and_warns(file, tmp_path, monkeypatch)
     for text in ("200 particles, 1000 kg/m^3, 320 kg per m", "time step", "memory", "wall time", "l_shaped_tank.png"):
         assert text in out
     assert (tmp_path / "l_shaped_tank.png").stat().st_size > 0
-    behind = GOOD.replace("[[0.0, 0.0], [0.4, 0.4]]", "[[-0.3, -0.3], [0.4, 0.3]]")
-    text = behind + "[[fluid]]\ndensity = 900.0\n[[fluid.body]]\nbox = [[0.0, 0.3], [0.4, 0.42]]\n"
-    path = file(text + '[[probe]]\nname = "far"\nkind = "pressure"\npoint = [9.0, 9.0]\n')
-    _, _, err = call("check", path)
-    assert "touch a wall from behind" in err and "mass of its shape" in err and "far lies outside" in err
-    close = casefile.check(read(file(GOOD + "[run]\njitter = 0.3\n"))).warnings
-    assert any("nearer than 0.7 spacings to one another" in line for line in close)
-    assert any("nearer than 0.7 spacings to a wall" in line for line in close)
+    behind = """[[fluid]]
+density = 900.0
+[[fluid.body]]
+box = [[-0.3, 0.0], [-0.15, 0.22]]
+[[probe]]
+name = "far"
+kind = "pressure"
+point = [9.0, 9.0]
+"""
+    _, _, err = call("check", file(GOOD + behind))
+    assert "touch a wall from behind" in err and "body 2 has the mass of its shape to -9.1 % only" in err
+    assert "far lies outside" in err
+    good = read(file(GOOD))
+    assert not casefile.check(good).warnings
+    position = good.case.particles.position
+    for to, words in (([0.075, 0.045], "one another, first at (0."), ([0.0, 0.025], "a wall, first at (0, 0.025)")):
+        moved = eqx.tree_at(lambda c: c.particles.position, good.case, position.at[0].set(jax.numpy.array(to)))
+        warnings = casefile.check(dataclasses.replace(good, case=moved)).warnings
+        assert any(f"nearer than 0.7 spacings to {words}" in line for line in warnings)
 
 
 def test_the_estimate_of_steps_goes_from_rest_to_the_speed_of_a_fall(file):

@@ -18,13 +18,13 @@ def draw(setup: Setup) -> "Figure":
     """The start of the case: fluids by color, walls in grey (not in 3-D), in 2-D with domain and probes."""
     figure = frame(_as_run(setup), color="phase")
     axes, box = figure.axes[0], setup.case.box
-    if setup.case.dim == 3:
-        return figure
-    (bar,) = axes.child_axes
+    bar = axes.child_axes[0] if setup.case.dim == 2 else figure.axes[1]
     if setup.fluids:
         bar.set_yticks(bar.get_yticks(), labels=setup.fluids)
     if len(setup.case.fluids.density) == 1:
         bar.remove()
+    if setup.case.dim == 3:
+        return figure
     from matplotlib.patches import Rectangle
 
     axes.add_patch(Rectangle((box.lower[0], box.lower[1]), *box.lengths, fill=False, ls=":", ec="#5f6368"))

@@ -162,7 +162,7 @@ def _layers(wall: Wall, ratio: float, spacing: float) -> int:
 def _in_plane(file: OwnFile, shapes: _Shapes, counts: list[int], spacing: float) -> Layout:
     around = shapely.union_all([*shapes.fluid, *(shapely.box(*bounds) for bounds in shapes.bounds)])
     walls = plane.walls(file.wall, counts, spacing, around)
-    rooms = [shape.difference(walls.solid) for shape in shapes.fluid]
+    rooms = [walls.room(shape) for shape in shapes.fluid]
     placed, anchors = [], []
     for k, room in enumerate(rooms):
         touching = [j for j in range(k) if room.distance(rooms[j]) < spacing]
@@ -183,11 +183,15 @@ def _in_space(file: OwnFile, shapes: _Shapes, counts: list[int], spacing: float)
     grid = solid.grid_around([*shapes.fluid, *shapes.wall], anchor, (most + 1) * spacing, spacing)
     reach = (most + 1) * spacing
     depth = [solid.depths(mesh, grid, reach) for mesh in shapes.wall]
-    layer, occupied = solid.wall_layers(file.wall, shapes.wall, depth, counts, grid)
+    layer, occupied, outside_tanks = solid.wall_layers(file.wall, shapes.wall, depth, counts, grid)
     position, placed, asked = grid.middles, [], []
     inside = [solid.fill(solid.depths(mesh, grid, spacing), mesh, spacing) for mesh in shapes.fluid]
     for k, (cells, mesh) in enumerate(zip(inside, shapes.fluid, strict=True)):
-        free = cells & ~occupied & ~np.any(inside[k + 1 :], axis=0) if inside[k + 1 :] else cells & ~occupied
+        free = cells & ~occupied
+        if inside[k + 1 :]:
+            free &= ~np.any(inside[k + 1 :], axis=0)
+        if np.any(free & ~outside_tanks):
+            free &= ~outside_tanks
         placed.append(position[free])
         # What walls and later bodies take of it is known as cells only.
         asked.append(float(mesh.volume) - spacing**3 * np.sum(cells & ~free))

@@ -40,11 +40,21 @@ def outline(shape: Shape) -> Polygon:
 
 
 class Walls(NamedTuple):
-    """Wall particles [m], the layer of each from 0 at the fluid's side, and the region that they stand in."""
+    """Wall particles [m], the layer of each from 0 at the fluid's side, the region that they stand in, and the tanks
+    with all that is beyond their open sides.
+    """
 
     position: np.ndarray
     layer: np.ndarray
     solid: BaseGeometry
+    tanks: BaseGeometry
+    open: BaseGeometry
+
+    def room(self, shape: BaseGeometry) -> BaseGeometry:
+        """The part of a shape that fluid can fill: of one that is in a tank, what is outside of it is left out."""
+        if shape.intersection(self.tanks).area > 0.0:
+            shape = shape.intersection(self.tanks.union(self.open))
+        return shape.difference(self.solid)
 
 
 def fill(shape: BaseGeometry, spacing: float, anchor: np.ndarray, walls: np.ndarray) -> np.ndarray:
@@ -103,7 +113,14 @@ def walls(tables: list[Wall], counts: list[int], spacing: float, around: BaseGeo
     position = np.concatenate([points for points, _ in placed] or [np.zeros((0, 2))])
     layer = np.concatenate([np.full(len(points), k) for points, k in placed] or [np.zeros(0, int)])
     keep = apart(position, CLOSE * spacing)
-    return Walls(position[keep], layer[keep], shapely.union_all(solids))
+    tanks = [(t, shape) for t, shape, _ in closed if t.side == "outside"]
+    everything = shapely.union_all([around, *(shape for _, shape in tanks)]).envelope.buffer(
+        spacing, join_style="mitre"
+    )
+    opened = shapely.union_all([_opening(t, shape, everything) for t, shape in tanks])
+    return Walls(
+        position[keep], layer[keep], shapely.union_all(solids), shapely.union_all([s for _, s in tanks]), opened
+    )
 
 
 def _around_region(

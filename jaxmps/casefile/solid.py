@@ -112,15 +112,16 @@ def fill(depth: np.ndarray, found: Trimesh, spacing: float) -> np.ndarray:
 
 def wall_layers(
     tables: list[Wall], meshes: list[Trimesh], depth: list[np.ndarray], counts: list[int], grid: Grid
-) -> tuple[np.ndarray, np.ndarray]:
-    """The layer of each cell, 0 at the fluid's side, −1 for no wall; and whether the cell lies in something solid.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The layer of each cell, 0 at the fluid's side, −1 for no wall; whether the cell lies in something solid, and
+    whether it is outside of all tanks, and not beyond an open side.
 
     A cell outside of all tanks or inside an obstacle is wall of the layer k if its middle is k to k + 1 spacings from
     the surface.
     """
     behind = np.full(np.prod(grid.shape), np.inf)
     if not tables:
-        return np.full(len(behind), -1), np.zeros(len(behind), bool)
+        return np.full(len(behind), -1), np.zeros(len(behind), bool), np.zeros(len(behind), bool)
     owner, obstacles = np.zeros(len(behind), int), np.zeros(len(behind), bool)
     outside = [k for k, table in enumerate(tables) if table.side == "outside"]
     for k in outside:
@@ -128,6 +129,7 @@ def wall_layers(
         behind = np.minimum(behind, -depth[k])
     if not outside:
         behind[:] = -np.inf
+    without = behind > 0.0
     for k, table in enumerate(tables):
         if table.side == "inside":
             owner = np.where(depth[k] > behind, k, owner)
@@ -137,7 +139,9 @@ def wall_layers(
     solid = (behind > 0.0) & (behind < most * grid.spacing)
     position = grid.middles
     for k in outside:
-        solid &= (owner != k) | ~beyond(position, tables[k].open, meshes[k].bounds)
+        opened = beyond(position, tables[k].open, meshes[k].bounds)
+        solid &= (owner != k) | ~opened
+        without &= ~opened
     with np.errstate(invalid="ignore"):
         layer = np.floor(np.where(np.isfinite(behind), behind, 0.0) / grid.spacing + 1e-6).astype(int)
-    return np.where(solid & (layer < most), layer, -1), solid | obstacles
+    return np.where(solid & (layer < most), layer, -1), solid | obstacles, without
