@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
+    from jaxmps import casefile as casefile
     from jaxmps import cases as cases
     from jaxmps import diagnostics as diagnostics
     from jaxmps import io as io
@@ -44,7 +45,7 @@ __version__ = "0.1.0"
 # The same names, imported at their first use: `jaxmps --help` does not wait for JAX.
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submodules=("cases", "diagnostics", "io", "operators", "plotting", "schemes"),
+    submodules=("casefile", "cases", "diagnostics", "io", "operators", "plotting", "schemes"),
     submod_attrs={
         "box": ["Box"],
         "case": ["Case"],

@@ -4,18 +4,22 @@ import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from jaxmps._cli_options import Force, Settings, prepare_jax, real, whole
+from jaxmps._cli_options import Force, Settings, real, whole
 from jaxmps._cli_output import FAILED, fail, prepare, print_table, refuse
+from jaxmps._cli_setup import prepare_case
+
+if TYPE_CHECKING:
+    from jaxmps.casefile import Setup
 
 _MOST_POINTS = 10_000
 
 
 def ensemble(
-    case: Annotated[str, typer.Argument(help="One of `jaxmps cases`.")],
+    case: Annotated[str, typer.Argument(help="One of `jaxmps cases`, or a case file (.toml).")],
     members: Annotated[int, whole("Runs with different seeds, for each combination of swept values.")] = 16,
     sweep: Annotated[
         list[str] | None,
@@ -24,14 +28,14 @@ def ensemble(
             help="Values of what --set can set, evenly spaced or NAME=A,B,C; several sweeps are combined.",
         ),
     ] = None,
-    scheme: Annotated[str, typer.Option(help="One of `jaxmps schemes`.")] = "mps",
+    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
     spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
-    until: Annotated[float, real("Time in s at which the runs end.")] = 2.0,
-    save_every: Annotated[float, real("Time in s from frame to frame.")] = 0.02,
+    until: Annotated[float | None, real("Time in s at which the runs end; else the file's, or 2.")] = None,
+    save_every: Annotated[float | None, real("Time in s from frame to frame; else the file's, or 0.02.")] = None,
     dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,
-    seed: Annotated[int, whole("Seed of all members' keys and jitters.")] = 0,
-    jitter: Annotated[float, real("Random displacement of each member's start, in spacings.")] = 0.0,
-    precision: Annotated[str, typer.Option(help="single or double.")] = "double",
+    seed: Annotated[int | None, whole("Seed of all members' keys and jitters; else the file's, or 0.")] = None,
+    jitter: Annotated[float | None, real("Random displacement of each member's start, in spacings.")] = None,
+    precision: Annotated[str | None, typer.Option(help="single or double; else the file's, or double.")] = None,
     frames: Annotated[bool, typer.Option("--frames", help="Keep all particles at every frame, too.")] = False,
     batch: Annotated[int | None, whole("Members in one program on each device; else chosen.")] = None,
     memory: Annotated[float | None, real("Bound on the memory of members at a time, in bytes.")] = None,
@@ -46,16 +50,15 @@ def ensemble(
     force: Force = False,
 ) -> int:
     """Run a case many times: a file for each member in a folder; what is there already is not run again."""
-    folder = out or Path(f"{case}_ensemble")
-    prepare_jax(precision)
+    folder = out or Path(f"{Path(case).stem if case.endswith('.toml') else case}_ensemble")
+    options = {"until": until, "save_every": save_every, "dt": dt, "seed": seed, "precision": precision}
     with _hosts(hosts, processes, process) as together:
         import jax
 
         from jaxmps import ensembles
-        from jaxmps._cli_values import check_times
 
-        times = check_times(until, save_every, dt)
-        made, methods, keys = _members(case, scheme, spacing, settings or [], sweep or [], members, jitter, seed)
+        setups = _setups(case, scheme, spacing, settings or [], sweep or [], members, options | {"jitter": jitter})
+        made, methods, keys = _members(setups, members)
         prepare(folder)
         if jax.process_index() == 0:
             print(f"{len(methods)} members on {jax.process_count()} processes")
@@ -63,7 +66,7 @@ def ensemble(
             made,
             methods,
             keys=keys,
-            **times,
+            **setups[0].times,
             keep_frames=frames,
             batch=batch,
             memory=memory,
@@ -131,34 +134,39 @@ def _hosts(hosts: str | None, processes: int | None, process: int | None) -> Ite
     jax.distributed.shutdown()
 
 
-def _members(
-    case: str, scheme: str, spacing: float | None, settings: list[str], sweep: list[str], count: int, jitter: float,
-    seed: int,
-) -> tuple[list[Any], list[Any], Any]:  # fmt: skip
-    """Case, scheme and key of each member: the values in the order of the sweeps, and of each all seeds.
+def _setups(
+    case: str,
+    scheme: str | None,
+    spacing: float | None,
+    settings: list[str],
+    sweep: list[str],
+    count: int,
+    options: dict[str, Any],
+) -> "list[Setup]":
+    """Case and scheme at each point of the grid that the sweeps span, not jittered yet."""
+    from jaxmps.validation import whole
 
-    Seed j is the same key and the same jitter for all values, so that these can be compared.
+    whole("members", count, least=1)
+    grid = list(itertools.product(*(_values(text) for text in sweep)))
+    if len(grid) * count > _MOST_POINTS:
+        raise ValueError(f"members must be at most {_MOST_POINTS} in all, got {len(grid) * count}")
+    return [prepare_case(case, scheme, spacing, [*settings, *point], options, jittered=False) for point in grid]
+
+
+def _members(setups: "list[Setup]", count: int) -> tuple[list[Any], list[Any], Any]:
+    """Case, scheme and key of each member: the points in the order of the sweeps, and of each all seeds.
+
+    Seed j is the same key and the same jitter at all points, so that these can be compared.
     """
     import jax
     import jax.numpy as jnp
 
     from jaxmps import cases
-    from jaxmps._cli_values import build
-    from jaxmps.validation import between
-    from jaxmps.validation import whole as whole_number
 
-    whole_number("members", count, least=1)
-    between("jitter", jitter, 0.0, 0.3, "spacings")
-    grid = list(itertools.product(*(_values(text) for text in sweep)))
-    if len(grid) * count > _MOST_POINTS:
-        raise ValueError(f"members must be at most {_MOST_POINTS} in all, got {len(grid) * count}")
-    keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(seed), k))(jnp.arange(count))
-    made, methods = [], []
-    for point in grid:
-        one, method = build(case, scheme, spacing, [*settings, *point], seed=seed)
-        made += [cases.jitter(one, jitter, key) if jitter else one for key in keys]
-        methods += [method] * count
-    return made, methods, jnp.tile(keys, len(grid))
+    run = setups[0].run
+    keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(run.seed), k))(jnp.arange(count))
+    made = [cases.jitter(s.case, run.jitter, key) if run.jitter else s.case for s in setups for key in keys]
+    return made, [s.scheme for s in setups for _ in keys], jnp.tile(keys, len(setups))
 
 
 def _values(text: str) -> list[str]:

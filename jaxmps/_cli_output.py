@@ -1,12 +1,13 @@
 """What the command line prints and writes."""
 
+import csv
 import inspect
 import json
 import math
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,9 @@ from rich.table import Table
 from jaxmps.status import FATAL, Outcome, Status
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxmps.diagnostics import Probe
     from jaxmps.run import Run
 
 WRONG_INPUT, FAILED, INTERRUPTED = 2, 1, 130
@@ -82,14 +86,18 @@ def frames_of(text: str, count: int) -> list[int]:
     return [frame % count]
 
 
-def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
-    """Writes summary and picture of a run, prints how it went, and gives the exit code."""
+def conclude(result: "Run", paths: Mapping[str, Path], instruments: "Sequence[Probe]" = ()) -> int:
+    """Writes summary, picture and readings of a run, prints how it went, and gives the exit code."""
     from jaxmps import plotting
 
     summary = {key: _plain(value) for key, value in result.summary.items()}
     text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
     paths["summary.json"].write_text(text + "\n", encoding="utf-8")
     plotting.frame(result).savefig(paths["final.png"], dpi=150)
+    if instruments:
+        from jaxmps.diagnostics import probes
+
+        _write_columns(paths["probes.csv"], probes(result, instruments))
     print_table("result", {key: _with_unit(key, value) for key, value in summary.items()})
     for name, path in paths.items():
         if name != "failure.png":
@@ -99,6 +107,13 @@ def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
         plotting.failure(result).savefig(paths["failure.png"], dpi=150)
         kept += f", and a picture of the place is {paths['failure.png']}"
     return _verdict(result, kept)
+
+
+def _write_columns(path: Path, columns: "Mapping[str, np.ndarray]") -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([f"{x:.9g}" for x in row] for row in zip(*columns.values(), strict=True))
 
 
 def _verdict(result: "Run", kept: str) -> int:

@@ -56,49 +56,69 @@ def build(
     A name may be an argument of the case, of the scheme or, as `ratio`, of both, of `schemes.stochastic`, which any
     scheme can be given to, or a dotted value of the scheme. The case gets the ratio of the scheme if it is not set.
     """
-    if not 0 <= seed < 2**32:
-        raise ValueError(f"seed must be between 0 and {2**32 - 1}, got {seed}")
-    known_cases, known_schemes = case_factories(), scheme_factories()
-    make_case = known_cases[one_of("case", case, known_cases)]
-    make_scheme = known_schemes[one_of("scheme", scheme, known_schemes)]
-    texts = _assignments(settings)
-    for_case = _picked(texts, arguments(make_case))
-    for_scheme = _picked(texts, arguments(make_scheme))
+    known = case_factories()
+    make_case = known[one_of("case", case, known)]
+    texts = assignments(settings)
+    for_case = picked(texts, arguments(make_case))
     if spacing is not None:
         if "spacing" in for_case:
             raise ValueError("spacing must be given once, got --spacing and --set spacing")
         for_case["spacing"] = spacing
+    made = build_scheme(scheme, texts, f"--set must name an argument of {case} or {scheme}", arguments(make_case))
+    return build_case(make_case, for_case, made.ratio, jitter, seed), made
+
+
+def build_scheme(scheme: str, texts: Mapping[str, str], rule: str, others: Iterable[str] = ()) -> Scheme:
+    """The scheme of that name with values by their names; `others` are names that are not for the scheme.
+
+    `rule` opens the error for any name else.
+    """
+    known = scheme_factories()
+    make_scheme = known[one_of("scheme", scheme, known)]
+    for_scheme = picked(texts, arguments(make_scheme))
     made = make_scheme(**for_scheme)
-    of_noise = {
-        name: given for name, given in arguments(schemes.stochastic).items() if given.kind is given.KEYWORD_ONLY
-    }
-    for_noise = _picked(texts, of_noise)
+    for_noise = picked(texts, of_noise())
     if for_noise:
         made = schemes.stochastic(made, **for_noise)
-    valid = [*arguments(make_case), *arguments(make_scheme), *of_noise, *values_of(made)]
+    valid = [*others, *arguments(make_scheme), *of_noise(), *values_of(made)]
     for name, text in texts.items():
         if name not in valid:
-            raise ValueError(
-                f"--set must name an argument of {case} or {scheme}, or a value of the scheme, "
-                f"got {name} ({_hint(name, valid)})"
-            )
-        if not any(name in taken for taken in (for_case, for_scheme, for_noise)):
+            raise ValueError(f"{rule}, or a value of the scheme, got {name} ({hint(name, valid)})")
+        if not any(name in taken for taken in (others, for_scheme, for_noise)):
             made = _replaced(made, name, name, text)
-    if "ratio" in arguments(make_case):
-        for_case.setdefault("ratio", made.ratio)
-    placed = make_case(**for_case)
-    if between("jitter", jitter, 0.0, 0.3, "spacings"):
-        placed = cases.jitter(placed, jitter, jax.random.key(seed))
-    return placed, made
+    return made
 
 
-def check_times(until: float, save_every: float, dt: float | None) -> dict[str, Any]:
-    """The times of a run [s] as arguments of `simulate`; `ValueError` unless they are positive."""
-    return {
-        "until": positive("until", until, "s"),
-        "save_every": positive("save-every", save_every, "s"),
-        "dt": None if dt is None else positive("dt", dt, "s"),
-    }
+def build_case(make: Factory, values: Mapping[str, Any], ratio: float, jitter: float = 0.0, seed: int = 0) -> Case:
+    """The built-in case with these arguments, and `ratio`, that of the scheme, if they do not have it."""
+    return jittered(make(**({"ratio": ratio} if "ratio" in arguments(make) else {}) | dict(values)), jitter, seed)
+
+
+def jittered(case: Case, jitter: float, seed: int) -> Case:
+    """The case with its fluid displaced by up to `jitter` spacings along each axis."""
+    between("jitter", jitter, 0.0, 0.3, "spacings")
+    return cases.jitter(case, jitter, jax.random.key(seed)) if jitter else case
+
+
+def of_noise() -> dict[str, inspect.Parameter]:
+    """The arguments of `schemes.stochastic`, which any scheme can be given to."""
+    known = arguments(schemes.stochastic)
+    return {name: given for name, given in known.items() if given.kind is given.KEYWORD_ONLY}
+
+
+def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those options of a run that are given, not None; `ValueError` unless they follow the rules for them."""
+    given = {name: value for name, value in options.items() if value is not None}
+    for name in ("until", "save_every", "dt"):
+        if name in given:
+            positive(name.replace("_", "-"), given[name], "s")
+    if "jitter" in given:
+        between("jitter", given["jitter"], 0.0, 0.3, "spacings")
+    if not 0 <= given.get("seed", 0) < 2**32:
+        raise ValueError(f"seed must be between 0 and {2**32 - 1}, got {given['seed']}")
+    if "precision" in given:
+        one_of("precision", given["precision"], ("single", "double"))
+    return given
 
 
 def types_of(text: str) -> dict[int, tuple[Kind, int]]:
@@ -127,7 +147,8 @@ def _factories(module: Any, result: type) -> dict[str, Factory]:
     return found
 
 
-def _assignments(settings: Iterable[str]) -> dict[str, str]:
+def assignments(settings: Iterable[str]) -> dict[str, str]:
+    """The names and texts of `NAME=VALUE` settings."""
     texts: dict[str, str] = {}
     for setting in settings:
         name, sign, text = (part.strip() for part in setting.partition("="))
@@ -139,7 +160,8 @@ def _assignments(settings: Iterable[str]) -> dict[str, str]:
     return texts
 
 
-def _picked(texts: Mapping[str, str], known: Mapping[str, inspect.Parameter]) -> dict[str, Any]:
+def picked(texts: Mapping[str, str], known: Mapping[str, inspect.Parameter]) -> dict[str, Any]:
+    """The values of those texts that are for a `known` argument."""
     return {
         name: _convert(name, text, _kind(known[name].default, known[name].annotation))
         for name, text in texts.items()
@@ -196,7 +218,8 @@ def _replaced(module: Any, path: str, name: str, text: str) -> Any:
     return dataclasses.replace(module, **{head: new})
 
 
-def _hint(name: str, valid: Iterable[str]) -> str:
+def hint(name: str, valid: Iterable[str]) -> str:
+    """What a mistyped name may have meant, or what there is."""
     valid = list(dict.fromkeys(valid))
     close = difflib.get_close_matches(name, valid, n=1)
     return f"did you mean {close[0]}?" if close else "there are " + ", ".join(valid)

@@ -1,20 +1,18 @@
 """The command `jaxmps`; commands import JAX themselves, so that help comes at once."""
 
 import sys
-import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from jaxmps._cli_ensemble import ensemble, gather
-from jaxmps._cli_options import USUAL_TYPES, Color, File, Force, Settings, Types, prepare_jax, real, whole
+from jaxmps._cli_options import USUAL_TYPES, Color, File, Force, Types, real, whole
 from jaxmps._cli_output import (
     FAILED,
     INTERRUPTED,
     WRONG_INPUT,
     catalog,
-    conclude,
     fail,
     frames_of,
     open_run,
@@ -23,6 +21,7 @@ from jaxmps._cli_output import (
     refuse,
     tell,
 )
+from jaxmps._cli_run import check, new, run
 
 app = typer.Typer(add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")
 
@@ -39,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return fail("interrupted", INTERRUPTED)
     except ValueError as error:
-        return fail(str(error), WRONG_INPUT)
+        return max(fail(fault, WRONG_INPUT) for fault in getattr(error, "faults", (str(error),)))
     except OSError as error:
         return fail(str(error), FAILED)
     except Exception as error:
@@ -67,47 +66,11 @@ def _top(
     pass
 
 
-@app.command()
-def run(
-    case: Annotated[str, typer.Argument(help="One of `jaxmps cases`.")],
-    scheme: Annotated[str, typer.Option(help="One of `jaxmps schemes`.")] = "mps",
-    spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
-    until: Annotated[float, real("Time in s at which the run ends.")] = 2.0,
-    save_every: Annotated[float, real("Time in s from frame to frame.")] = 0.02,
-    dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,
-    seed: Annotated[int, whole("Seed of noise and jitter.")] = 0,
-    jitter: Annotated[float, real("Random displacement at the start, in spacings.")] = 0.0,
-    precision: Annotated[str, typer.Option(help="single or double.")] = "double",
-    on_blowup: Annotated[str, typer.Option(help="stop, or halve-dt: go back a frame and take half the step.")] = "stop",
-    out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
-    settings: Settings = None,
-    force: Force = False,
-) -> int:
-    """Run a case: writes run.vtkhdf, summary.json and final.png, and failure.png if it ends early."""
-    folder = Path(case) if out is None else out
-    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png", "failure.png")}
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"out must be a directory, got the file {folder}")
-    for path in paths.values():
-        refuse(path, force)
-    prepare_jax(precision)
-    import jax
-
-    from jaxmps import simulation, status
-    from jaxmps._cli_values import build, check_times
-    from jaxmps.rescue import ON_BLOWUP
-    from jaxmps.validation import one_of
-
-    times = check_times(until, save_every, dt)
-    one_of("on-blowup", on_blowup, ON_BLOWUP)
-    made, method = build(case, scheme, spacing, settings or [], jitter, seed)
-    prepare(folder, [paths[name] for name in ("summary.json", "final.png", "failure.png")])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", status.SimulationWarning)
-        key = jax.random.key(seed)
-        file = paths["run.vtkhdf"]
-        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force, on_blowup=on_blowup)
-    return conclude(result, paths)
+app.command()(run)
+app.command()(check)
+app.command()(new)
+app.command()(ensemble)
+app.command()(gather)
 
 
 @app.command()
@@ -221,7 +184,3 @@ def export(
     prepare(base.parent)
     for k, made in files.items():
         typer.echo(io.export(result, made, k, types=meaning, overwrite=force))
-
-
-app.command()(ensemble)
-app.command()(gather)

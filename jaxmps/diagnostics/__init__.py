@@ -14,6 +14,11 @@ from jaxmps.diagnostics.objectives import tip_radius as tip_radius
 from jaxmps.diagnostics.objectives import wave_height_error as wave_height_error
 from jaxmps.diagnostics.observation import observation as observation
 from jaxmps.diagnostics.observation import volume_fraction as volume_fraction
+from jaxmps.diagnostics.probes import Probe as Probe
+from jaxmps.diagnostics.probes import pressure_along as pressure_along
+from jaxmps.diagnostics.probes import pressure_at as pressure_at
+from jaxmps.diagnostics.probes import probes as probes
+from jaxmps.diagnostics.probes import wave_height as wave_height
 from jaxmps.diagnostics.separation import breakup as breakup
 from jaxmps.diagnostics.separation import nearest as nearest
 from jaxmps.diagnostics.surface import surge_front as surge_front

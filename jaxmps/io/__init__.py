@@ -1,6 +1,4 @@
-"""Files of runs, in the VTKHDF layout, which ParaView and PyVista open as they are; of ensembles, in HDF5; and particles
-of other programs.
-"""
+"""Files of runs, which ParaView and PyVista open as they are; of ensembles; and particles of other programs."""
 
 from jaxmps.io._text import TYPES as TYPES
 from jaxmps.io.exchange import FORMATS as FORMATS

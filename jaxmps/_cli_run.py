@@ -1,0 +1,91 @@
+"""The commands about a case: `jaxmps run`, `jaxmps check` and `jaxmps new`."""
+
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jaxmps._cli_options import Force, Settings, real, whole
+from jaxmps._cli_output import conclude, prepare, print_table, refuse, say
+from jaxmps._cli_setup import prepare_case
+
+
+def run(
+    case: Annotated[str, typer.Argument(help="One of `jaxmps cases`, or a case file (.toml).")],
+    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
+    spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
+    until: Annotated[float | None, real("Time in s at which the run ends; else the file's, or 2.")] = None,
+    save_every: Annotated[float | None, real("Time in s from frame to frame; else the file's, or 0.02.")] = None,
+    dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,
+    seed: Annotated[int | None, whole("Seed of noise and jitter; else the file's, or 0.")] = None,
+    jitter: Annotated[float | None, real("Random displacement at the start, in spacings; else the file's.")] = None,
+    precision: Annotated[str | None, typer.Option(help="single or double; else the file's, or double.")] = None,
+    on_blowup: Annotated[str, typer.Option(help="stop, or halve-dt: go back a frame and take half the step.")] = "stop",
+    out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
+    settings: Settings = None,
+    force: Force = False,
+) -> int:
+    """Run a case: writes run.vtkhdf, summary.json and final.png; failure.png if it ends early, probes.csv of a file's
+    probes.
+    """
+    folder = Path(Path(case).stem if case.endswith(".toml") else case) if out is None else out
+    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png", "failure.png")}
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"out must be a directory, got the file {folder}")
+    for path in paths.values():
+        refuse(path, force)
+    options = {"until": until, "save_every": save_every, "dt": dt, "seed": seed, "jitter": jitter}
+    setup = prepare_case(case, scheme, spacing, settings, {**options, "precision": precision})
+    if setup.probes:
+        paths["probes.csv"] = folder / "probes.csv"
+        refuse(paths["probes.csv"], force)
+    import jax
+
+    from jaxmps import simulation, status
+    from jaxmps.rescue import ON_BLOWUP
+    from jaxmps.validation import one_of
+
+    one_of("on-blowup", on_blowup, ON_BLOWUP)
+    prepare(folder, [path for name, path in paths.items() if name != "run.vtkhdf"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", status.SimulationWarning)
+        key = jax.random.key(setup.run.seed)
+        file = paths["run.vtkhdf"]
+        result = simulation.simulate(
+            setup.case, setup.scheme, **setup.times, key=key, out=file, overwrite=force, on_blowup=on_blowup
+        )
+    return conclude(result, paths, setup.probes)
+
+
+def check(
+    case: Annotated[str, typer.Argument(help="A case file (.toml), or one of `jaxmps cases`.")],
+    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
+    spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
+    settings: Settings = None,
+    out: Annotated[Path | None, typer.Option(help="Picture; else named after the case.")] = None,
+    force: Force = False,
+) -> None:
+    """Check a case before it runs: draws it, counts particles, and estimates steps, memory and time."""
+    picture = out or Path(f"{Path(case).stem}.png")
+    refuse(picture, force)
+    setup = prepare_case(case, scheme, spacing, settings, {})
+    from jaxmps import casefile
+
+    report = casefile.check(setup)
+    prepare(picture.parent)
+    casefile.draw(setup).savefig(picture, dpi=150)
+    print_table(f"{setup.case.name}, {setup.scheme.name}", report.content)
+    print_table("expected", report.expected)
+    for warning in report.warnings:
+        say("warning", warning)
+    typer.echo(picture)
+
+
+def new(
+    case: Annotated[str, typer.Argument(help="tank, or one of `jaxmps cases`.")] = "tank",
+) -> None:
+    """Print a case file to start from, with comments: an own geometry, or a built-in case with all its arguments."""
+    from jaxmps import casefile
+
+    typer.echo(casefile.template(case), nl=False)

@@ -1,0 +1,266 @@
+"""The tables of an own geometry made into an ordinary `Case`."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import shapely
+
+from jaxmps.box import Box
+from jaxmps.case import Case
+from jaxmps.casefile import plane, solid
+from jaxmps.casefile.models import Body, OwnFile, Shape, Wall
+from jaxmps.casefile.parsing import CaseFileError
+from jaxmps.cases.lattice import dummy_layers, materials
+from jaxmps.particles import Kind, at_rest
+
+_SHAPES = {2: ("polygon", "box", "circle"), 3: ("box", "sphere", "stl")}
+
+
+class Layout(NamedTuple):
+    """Particles of a geometry: fluid of each body, which particles of it walls displaced, and walls with layers.
+
+    `asked` is the area [m²] or volume [m³] of each body that is to be filled.
+    """
+
+    bodies: list[np.ndarray]
+    asked: list[float]
+    wall: np.ndarray
+    layer: np.ndarray
+
+
+def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None) -> tuple[Case, Layout]:
+    """The case of the file, with `spacing` [m] instead of its own if given. Raises `CaseFileError`."""
+    spacing = file.case.spacing if spacing is None else spacing
+    dim = len(file.case.gravity)
+    shapes = _checked(file, path, dim)
+    counts = [_layers(wall, ratio, spacing) for wall in file.wall]
+    arrange = _in_plane if dim == 2 else _in_space
+    layout = arrange(file, shapes, counts, spacing)
+    for (where, _), points in zip(bodies(file), layout.bodies, strict=True):
+        if not len(points):
+            raise CaseFileError(
+                path, [f"{where}: must have room for a particle at the spacing {spacing:g} m, got none"]
+            )
+    fluid = np.concatenate(layout.bodies)
+    position = np.concatenate([fluid, layout.wall])
+    kind = np.where(layout.layer == 0, Kind.WALL, Kind.DUMMY)
+    phase = [i for i, table in enumerate(file.fluid) for _ in table.body]
+    phases = np.repeat(phase, [len(points) for points in layout.bodies])
+    box = _domain(
+        file, path, position, np.concatenate([np.reshape(bounds, (2, dim)) for bounds in shapes.bounds]), spacing
+    )
+    _check_inside(path, box, position, [len(points) for points in layout.bodies], file)
+    particles = at_rest(
+        position,
+        np.concatenate([np.full(len(fluid), Kind.FLUID), kind]),
+        np.concatenate([phases, np.zeros(len(layout.wall), int)]),
+    )
+    velocity = [_velocity(body, points) for (_, body), points in zip(bodies(file), layout.bodies, strict=True)]
+    velocity = np.concatenate([*velocity, np.zeros_like(layout.wall)])
+    particles = eqx.tree_at(lambda p: p.velocity, particles, jnp.asarray(velocity, particles.position.dtype))
+    case = Case(
+        particles=particles,
+        fluids=materials(
+            {f"density of {t.name or i}": t.density for i, t in enumerate(file.fluid)},
+            {f"viscosity of {t.name or i}": t.viscosity for i, t in enumerate(file.fluid)},
+        ),
+        gravity=file.case.gravity,
+        spacing=spacing,
+        box=box,
+        name=file.case.name or path.stem,
+    )
+    return case, layout
+
+
+def bodies(file: OwnFile) -> Iterator[tuple[str, Body]]:
+    """The bodies of all fluids in turn, with the place of each in the file."""
+    for i, table in enumerate(file.fluid, 1):
+        for j, body in enumerate(table.body, 1):
+            yield f"[[fluid]] {i}, [[fluid.body]] {j}", body
+
+
+class _Shapes(NamedTuple):
+    fluid: list[Any]
+    wall: list[Any]
+    bounds: list[Any]
+
+
+def _checked(file: OwnFile, path: Path, dim: int) -> _Shapes:
+    """Polygons or meshes of all shapes (None for a polyline), once everything in the file fits together."""
+    faults: list[str] = []
+
+    def vectors(where: str, **given: list[Any] | None) -> None:
+        for key, value in given.items():
+            points = [] if value is None else value if isinstance(value[0], list) else [value]
+            wrong = [point for point in points if len(point) != dim]
+            if wrong:
+                faults.append(f"{where}: {key} must have {dim} components, as gravity has, got {wrong[0]}")
+
+    def made(where: str, shape: Shape) -> Any:
+        ball = shape.circle or shape.sphere
+        vectors(
+            where,
+            **{k: getattr(shape, k, None) for k in ("polygon", "polyline", "box", "offset", "velocity", "center")},
+            **{f"{shape.kind}.center": ball.center if ball else None},
+        )
+        if isinstance(getattr(shape, "rotation", None), (list, float, int)):
+            spin = getattr(shape, "rotation", None)
+            if isinstance(spin, list) != (dim == 3):
+                rule = "a vector [rad/s] in 3-D" if dim == 3 else "a number [rad/s] in 2-D"
+                faults.append(f"{where}: rotation must be {rule}, got {spin}")
+        if shape.kind == "polyline" and dim == 2:
+            return None
+        if shape.kind not in _SHAPES[dim]:
+            faults.append(f"{where}: {shape.kind} must be one of {', '.join(_SHAPES[dim])} in {dim}-D")
+        elif not any(fault.startswith(f"{where}:") for fault in faults):
+            try:
+                return plane.outline(shape) if dim == 2 else solid.mesh(shape, path.parent)
+            except ValueError as error:
+                faults.append(f"{where}: {error}")
+        return None
+
+    vectors("[case]", lower=file.case.lower, upper=file.case.upper)
+    sides = "xyz"[:dim]
+    faults += [
+        f"[case]: periodic must be among {', '.join(sides)} in {dim}-D, got {axis}"
+        for axis in file.case.periodic
+        if axis not in sides
+    ]
+    fluid = [made(where, body) for where, body in bodies(file)]
+    wall = [made(f"[[wall]] {i}", table) for i, table in enumerate(file.wall, 1)]
+    for i, table in enumerate(file.wall, 1):
+        faults += [
+            f"[[wall]] {i}: open must be among the sides of {dim}-D, got {side}"
+            for side in table.open
+            if side[1] not in sides
+        ]
+    _check_probes(file, dim, vectors, faults)
+    if faults:
+        raise CaseFileError(path, faults)
+    lines = [shapely.LineString(t.polyline).bounds for t in file.wall if t.polyline is not None]
+    return _Shapes(fluid, wall, [shape.bounds for shape in [*fluid, *wall] if shape is not None] + lines)
+
+
+def _check_probes(file: Any, dim: int, vectors: Callable[..., None], faults: list[str]) -> None:
+    for i, probe in enumerate(file.probe, 1):
+        where = f"[[probe]] {i}"
+        vectors(where, point=getattr(probe, "point", None), segment=getattr(probe, "segment", None))
+        if probe.kind == "wave_gauge" and (probe.y is not None) != (dim == 3):
+            faults.append(f"{where}: y must be given in 3-D, and in 3-D only, got {probe.y}")
+
+
+def _layers(wall: Wall, ratio: float, spacing: float) -> int:
+    if wall.thickness is not None:
+        return max(round(wall.thickness / spacing), 1)
+    return wall.layers or 1 + dummy_layers(ratio)
+
+
+def _in_plane(file: OwnFile, shapes: _Shapes, counts: list[int], spacing: float) -> Layout:
+    around = shapely.union_all([*shapes.fluid, *(shapely.box(*bounds) for bounds in shapes.bounds)])
+    walls = plane.walls(file.wall, counts, spacing, around)
+    rooms = [walls.room(shape) for shape in shapes.fluid]
+    placed, anchors = [], []
+    for k, room in enumerate(rooms):
+        touching = [j for j in range(k) if room.distance(rooms[j]) < spacing]
+        anchors.append(anchors[touching[0]] if touching else np.array(room.bounds[:2]))
+        placed.append(plane.fill(room, spacing, anchors[k], walls.position))
+    asked = [_left(room, rooms[k + 1 :]).area for k, room in enumerate(rooms)]
+    return _without_overlap(placed, asked, walls.position, walls.layer, spacing)
+
+
+def _left(room: Any, later: list[Any]) -> Any:
+    return room.difference(shapely.union_all(later)) if later else room
+
+
+def _in_space(file: OwnFile, shapes: _Shapes, counts: list[int], spacing: float) -> Layout:
+    outside = [mesh for table, mesh in zip(file.wall, shapes.wall, strict=True) if table.side == "outside"]
+    anchor = (outside or shapes.fluid)[0].bounds[0]
+    most = max(counts, default=0)
+    grid = solid.grid_around([*shapes.fluid, *shapes.wall], anchor, (most + 1) * spacing, spacing)
+    reach = (most + 1) * spacing
+    depth = [solid.depths(mesh, grid, reach) for mesh in shapes.wall]
+    layer, occupied, outside_tanks = solid.wall_layers(file.wall, shapes.wall, depth, counts, grid)
+    position, placed, asked = grid.middles, [], []
+    inside = [solid.fill(solid.depths(mesh, grid, spacing), mesh, spacing) for mesh in shapes.fluid]
+    for k, (cells, mesh) in enumerate(zip(inside, shapes.fluid, strict=True)):
+        free = cells & ~occupied
+        if inside[k + 1 :]:
+            free &= ~np.any(inside[k + 1 :], axis=0)
+        if np.any(free & ~outside_tanks):
+            free &= ~outside_tanks
+        placed.append(position[free])
+        # What walls and later bodies take of it is known as cells only.
+        asked.append(float(mesh.volume) - spacing**3 * np.sum(cells & ~free))
+    walls = layer >= 0
+    return _without_overlap(placed, asked, position[walls], layer[walls], spacing)
+
+
+def _without_overlap(
+    placed: list[np.ndarray], asked: list[float], wall: np.ndarray, layer: np.ndarray, spacing: float
+) -> Layout:
+    """Of two fluid particles too close to one another that of the later body stays; walls stay in any case."""
+    order = [wall, *placed[::-1]]
+    keep = plane.apart(np.concatenate(order), plane.CLOSE * spacing)
+    parts = np.split(keep, np.cumsum([len(points) for points in order])[:-1])
+    fluid = [points[kept] for points, kept in zip(placed, parts[:0:-1], strict=True)]
+    return Layout(fluid, asked, wall[parts[0]], layer[parts[0]])
+
+
+def _velocity(body: Body, points: np.ndarray) -> np.ndarray:
+    velocity = np.broadcast_to(np.asarray(body.velocity or [0.0] * points.shape[1]), points.shape).copy()
+    if body.rotation is not None:
+        offset = points - (np.mean(points, axis=0) if body.center is None else np.asarray(body.center))
+        if isinstance(body.rotation, list):
+            velocity += np.cross(np.asarray(body.rotation), offset)
+        else:
+            velocity += body.rotation * np.stack([-offset[:, 1], offset[:, 0]], axis=1)
+    return velocity
+
+
+def _domain(file: OwnFile, path: Path, position: np.ndarray, corners: np.ndarray, spacing: float) -> Box:
+    """The box of the file; else that around all particles, with headroom against gravity or, without it, all round."""
+    table, dim = file.case, position.shape[1]
+    gravity = np.asarray(table.gravity)
+    shapes = np.array([corners.min(axis=0), corners.max(axis=0)])
+    low, high = position.min(axis=0) - 0.5 * spacing, position.max(axis=0) + 0.5 * spacing
+    low, high = np.minimum(low, shapes[0]), np.maximum(high, shapes[1])
+    room = table.headroom
+    if not gravity.any():
+        room = 0.5 * np.max(shapes[1] - shapes[0]) if room is None else room
+        low, high = low - room, high + room
+    else:
+        up = int(np.argmax(np.abs(gravity)))
+        room = max(float(np.ptp(shapes[:, up])), 3.0 * spacing) if room is None else room
+        end = high if gravity[up] < 0 else low
+        end[up] += room if gravity[up] < 0 else -room
+    periodic = tuple(axis in table.periodic for axis in "xyz"[:dim])
+    # A period is that of the drawing, to which walls and fluid must fit.
+    low, high = np.where(periodic, shapes[0], low), np.where(periodic, shapes[1], high)
+    low = low if table.lower is None else np.asarray(table.lower)
+    high = high if table.upper is None else np.asarray(table.upper)
+    try:
+        return Box(tuple(low.tolist()), tuple(high.tolist()), periodic)
+    except ValueError as error:
+        raise CaseFileError(path, [f"[case]: {error}"]) from None
+
+
+def _check_inside(path: Path, box: Box, position: np.ndarray, counts: list[int], file: OwnFile) -> None:
+    inside = np.all((position >= box.lower) & (position < box.upper), axis=1)
+    faults = []
+    places = [where for where, _ in bodies(file)] + ["[[wall]]"]
+    for where, part, points in zip(
+        places, np.split(inside, np.cumsum(counts)), np.split(position, np.cumsum(counts)), strict=True
+    ):
+        out = points[~part]
+        if len(out):
+            place = ", ".join(f"{x:.4g}" for x in out[0])
+            faults.append(
+                f"{where}: particles must lie in the box from {box.lower} m to {box.upper} m, got {len(out)} outside, "
+                f"the first at ({place}) m"
+            )
+    if faults:
+        raise CaseFileError(path, faults)
