@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from jaxmps.particles import Fluid as Fluid
     from jaxmps.particles import Kind as Kind
     from jaxmps.particles import Particles as Particles
+    from jaxmps.restart import resume as resume
     from jaxmps.run import Run as Run
     from jaxmps.scheme import Scheme as Scheme
     from jaxmps.simulation import simulate as simulate
@@ -48,6 +49,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "io": ["read"],
         "monitor": ["StepInfo"],
         "particles": ["Fluid", "Kind", "Particles"],
+        "restart": ["resume"],
         "run": ["Run"],
         "scheme": ["Scheme"],
         "simulation": ["simulate", "start"],

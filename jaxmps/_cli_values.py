@@ -91,12 +91,15 @@ def build(
     return placed, made
 
 
-def check_times(until: float, save_every: float, dt: float | None) -> dict[str, Any]:
+def check_times(
+    until: float, save_every: float, dt: float | None, checkpoint_every: float | None = None
+) -> dict[str, Any]:
     """The times of a run [s] as arguments of `simulate`; `ValueError` unless they are positive."""
     return {
         "until": positive("until", until, "s"),
         "save_every": positive("save-every", save_every, "s"),
         "dt": None if dt is None else positive("dt", dt, "s"),
+        "checkpoint_every": None if checkpoint_every is None else positive("checkpoint-every", checkpoint_every, "s"),
     }
 
 

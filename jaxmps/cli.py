@@ -1,8 +1,6 @@
 """The command `jaxmps`; commands import JAX themselves, so that help comes at once."""
 
-import os
 import sys
-import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +12,6 @@ from jaxmps._cli_output import (
     INTERRUPTED,
     WRONG_INPUT,
     catalog,
-    conclude,
     fail,
     open_run,
     prepare,
@@ -22,6 +19,7 @@ from jaxmps._cli_output import (
     refuse,
     tell,
 )
+from jaxmps._cli_runs import begin, carry_on
 
 app = typer.Typer(add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")
 
@@ -78,37 +76,22 @@ def run(
     jitter: Annotated[float, real("Random displacement at the start, in spacings.")] = 0.0,
     precision: Annotated[str, typer.Option(help="single or double.")] = "double",
     out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
+    checkpoint_every: Annotated[float | None, real("Time in s between checkpoints for resume; else none.")] = None,
     settings: Settings = None,
     force: Force = False,
 ) -> int:
     """Run a case: writes run.vtkhdf, summary.json and final.png."""
-    folder = Path(case) if out is None else out
-    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png")}
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"out must be a directory, got the file {folder}")
-    for path in paths.values():
-        refuse(path, force)
-    if precision not in ("single", "double"):
-        raise ValueError(f"precision must be single or double, got {precision}")
-    # Loading a program from the cache makes XLA print pages about two processor flags that are none.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    import jax
+    words = {"case": case, "scheme": scheme, "spacing": spacing, "until": until, "save_every": save_every, "dt": dt}
+    words |= {"seed": seed, "jitter": jitter, "precision": precision, "settings": settings or []}
+    return begin(words, Path(case) if out is None else out, checkpoint_every, force)
 
-    jax.config.update("jax_enable_x64", precision == "double")
-    from jaxmps import simulation, status
-    from jaxmps._cli_values import build, check_times
-    from jaxmps._compilation import keep_compiled
 
-    keep_compiled()
-    times = check_times(until, save_every, dt)
-    made, method = build(case, scheme, spacing, settings or [], jitter, seed)
-    prepare(folder, [paths["summary.json"], paths["final.png"]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", status.SimulationWarning)
-        key = jax.random.key(seed)
-        file = paths["run.vtkhdf"]
-        result = simulation.simulate(made, method, **times, key=key, out=file, overwrite=force)
-    return conclude(result, paths)
+@app.command()
+def resume(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of a run with --checkpoint-every.")],
+) -> int:
+    """Carry on a run that was killed or interrupted, from its last checkpoint to its end."""
+    return carry_on(folder)
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """The host's loop of a run: chunks of compiled steps up to the next frame, and what is to be done between them."""
 
 import time as clock
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -25,10 +26,10 @@ _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the prog
 _FEWEST = 4  # steps in a call: its temporaries, a gigabyte for 500 000 particles, are fresh memory in each call
 
 
-class _Clock(NamedTuple):
+class Clock(NamedTuple):
     """Time to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results.
 
-    `largest` is the largest time step so far in the run.
+    `largest` is the largest time step so far in the run. A checkpoint has the clock, too.
     """
 
     duration: Scalar
@@ -44,7 +45,8 @@ class Loop:
         self.case, self.scheme, self.state, self.dt, self.key = case.undescribed(), scheme, state, dt, key
         self.log = empty_log(case.dim)
         self._noted: tuple[Event, ...] = ()
-        self._chunk, self._largest = 16, jnp.zeros_like(state.time)
+        self._chunk, zero = 16, jnp.zeros_like(state.time)
+        self.timer = Clock(zero, zero, zero, zero)
         full = lattice(scheme.ratio, case.dim).neighbors
         self._most = min(40 * full, len(case.particles.kind))
 
@@ -62,18 +64,21 @@ class Loop:
         event = Event(int(bit), float(self.state.time), int(self.state.step), particle, position, value)
         self._noted = (*self._noted, event)
 
-    def reach(self, target: float, bar: Meter) -> None:
-        """Steps until the time `target` [s], or to the last good state before a failure."""
-        begin = float(self.state.time)
+    def reach(self, target: float, bar: Meter, look: Callable[[], None] = lambda: None) -> None:
+        """Steps until the time `target` [s], or to the last good state before a failure.
+
+        Before each chunk it calls `look`, which may keep state, timer and log: a loop that is given them goes on there.
+        """
         zero = jnp.zeros((), self.state.time.dtype)
-        timer = _Clock(zero + (target - begin), zero, zero, self._largest)
-        while float(timer.elapsed) < float(timer.duration):
+        if float(self.timer.elapsed) >= float(self.timer.duration):
+            self.timer = Clock(zero + (target - float(self.state.time)), zero, zero, self.timer.largest)
+        while float(self.timer.elapsed) < float(self.timer.duration):
+            look()
             began = clock.perf_counter()
-            carry = (self.state, timer, self.log)
+            carry = (self.state, self.timer, self.log)
             carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
-            self.state, timer, self.log = carry
-            self._largest = timer.largest
-            bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
+            self.state, self.timer, self.log = carry
+            bar.update(float(self.state.time), float(self.timer.dt), float(self.log.max_speed))
             if int(status) & Status.TIME_STEP_COLLAPSED:
                 self._note_fastest()
             if int(status) & FATAL:
@@ -124,7 +129,7 @@ def _advance_chunk(case, scheme, carry, dt, key, most_steps):
         accepted = (status & stop) == 0
         log = extend(log, info, accepted, state.particles, state.time, state.step)
         elapsed = jnp.where(count > 1, timer.elapsed + now, timer.duration)
-        ahead = (new, _Clock(timer.duration, elapsed, now, largest))
+        ahead = (new, Clock(timer.duration, elapsed, now, largest))
         state, timer = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), ahead, (state, timer))
         return (state, timer, log), status
 

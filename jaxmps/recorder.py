@@ -1,6 +1,7 @@
 """Keeps the frames of a run, in memory or in a file, and makes the `Run`."""
 
 import time as clock
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,9 @@ class Recorder:
         settings: dict[str, Any],
         out: str | Path | None,
         overwrite: bool,
+        kept: Mapping[str, Any] | None = None,
     ):
+        """`kept` is what another recorder had in `keep`, whose file `out` this one carries on."""
         self._case, self._began = case, clock.perf_counter()
         position = case.particles.position
         self._fixed = {
@@ -50,7 +53,12 @@ class Recorder:
         self._energies: list[float] = []
         self._frames: list[dict[str, Any]] = []
         self._writer = None
-        if out is not None:
+        if kept is not None and out is not None:
+            self._began -= float(kept["seconds"])
+            self._writer = Writer.restored(out, kept["image"])
+            times, energies = self._writer.history()
+            self._times, self._energies = times.tolist(), energies.sum(axis=1).tolist()
+        elif out is not None:
             frames = round(settings["until"] / settings["save_every"]) + 1
             self._writer = Writer(
                 out,
@@ -61,6 +69,12 @@ class Recorder:
                 overwrite=overwrite,
                 frames=frames,
             )
+
+    def keep(self) -> dict[str, Any]:
+        """What another recorder needs to carry on with the file: wall time so far [s], and the file's image."""
+        if self._writer is None:
+            raise ValueError("out must be given: only a run that is written to a file can be carried on")
+        return {"seconds": clock.perf_counter() - self._began, "image": self._writer.image()}
 
     def save(self, state: State) -> None:
         """Adds the state as a frame, unless it is the last one already."""

@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -12,6 +13,8 @@ from jaxtyping import Array, Key
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.case import Case
+from jaxmps.checkpoints import Checkpoints
+from jaxmps.io import checkpoint_of
 from jaxmps.loop import Loop
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
@@ -73,6 +76,7 @@ def simulate(
     overwrite: bool = False,
     progress: bool | None = None,
     start: State | None = None,
+    checkpoint_every: float | None = None,
 ) -> Run:
     """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
 
@@ -81,6 +85,11 @@ def simulate(
     made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
     state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
     same way. `start` carries on from another state.
+
+    With `checkpoint_every` [s] all that the run goes on from is kept beside `out`, in a file with `.checkpoint` behind
+    its name: at the start and then at the first pause of the compiled steps, some tenths of a second of wall time
+    apart, at or after each multiple of that time. The steps are the same with and without. `resume` carries the run on
+    after a kill or a failure of the machine; the checkpoint of a run that has reached its end is removed.
 
     Raises `ValueError` for times that are not positive and `FileExistsError` for an existing file.
     """
@@ -93,17 +102,40 @@ def simulate(
     if begin >= until:
         raise ValueError(f"until must exceed the time of the start, {begin:g} s, got {until:g} s")
     _check_time_step(case, scheme, state, fixed)
+    if checkpoint_every is not None:
+        positive("checkpoint_every", checkpoint_every, "s")
+        if out is None:
+            raise ValueError("checkpoint_every needs out, the file beside which checkpoints are kept, got None")
     settings = {"until": until, "save_every": save_every, "dt": dt}
     settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
     recorder = Recorder(case, scheme, settings, out, overwrite)
     loop = Loop(case, scheme, state, fixed, key)
     recorder.save(state)
+    checkpoints = None
+    if out is not None:
+        checkpoint_of(Path(out)).unlink(missing_ok=True)  # of a run that was there before
+    if checkpoint_every is not None and out is not None:
+        checkpoints = Checkpoints(Path(out), loop, recorder, case, settings, checkpoint_every)
     first = math.floor(begin / save_every + 1e-6) + 1
+    return march(loop, recorder, checkpoints, first, until, save_every, progress)
+
+
+def march(
+    loop: Loop,
+    recorder: Recorder,
+    checkpoints: Checkpoints | None,
+    first: int,
+    until: float,
+    save_every: float,
+    progress: bool | None,
+) -> Run:
+    """The rest of a run, from where its loop stands to the frame number `first` and on; times in s."""
     frames = math.ceil(until / save_every - 1e-9)
     with meter(until, progress) as bar:
         try:
             for frame in range(first, frames + 1):
-                loop.reach(min(frame * save_every, until), bar)
+                look = (lambda: None) if checkpoints is None else partial(checkpoints.look, frame)
+                loop.reach(min(frame * save_every, until), bar, look)
                 recorder.save(loop.state)
                 if loop.outcome.flags & FATAL:
                     break
@@ -112,8 +144,11 @@ def simulate(
             loop.note(Status.INTERRUPTED)
     outcome = loop.outcome
     if outcome.events:
-        warnings.warn(str(outcome), SimulationWarning, stacklevel=2)
-    return recorder.finish(loop.state, loop.log, outcome)
+        warnings.warn(str(outcome), SimulationWarning, stacklevel=3)
+    run = recorder.finish(loop.state, loop.log, outcome)
+    if checkpoints is not None and outcome.completed:
+        checkpoints.discard()
+    return run
 
 
 _start = start  # `simulate` has an argument of that name
