@@ -14,6 +14,7 @@ import argparse
 import json
 import os
 import random
+import shlex
 import shutil
 import subprocess
 import sys
@@ -26,21 +27,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-OPTIONS = [
-    "dam_break",
-    "--scheme",
-    "mps_hs_gc_ds",
-    "--spacing",
-    "0.1",
-    "--set",
-    "alpha=0.02",
-    "--until",
-    "2",
-    "--save-every",
-    "0.004",
-    "--checkpoint-every",
-    "0.006",
-]
+OPTIONS = shlex.split(
+    "dam_break --scheme mps_hs_gc_ds --spacing 0.1 --set alpha=0.02 --until 2 --save-every 0.004 "
+    "--checkpoint-every 0.006"
+)
 KINDS = {"any time": 1, "steps": 4, "checkpoint": 2, "frame": 3}
 STARTING, STEPPING = 8.0, 1.2
 """Seconds from the start of a process, and from its first checkpoint, within which it is killed."""

@@ -28,6 +28,7 @@ def begin(words: dict[str, Any], folder: Path, checkpoint_every: float | None, f
         refuse(path, force)
     if words["precision"] not in ("single", "double"):
         raise ValueError(f"precision must be single or double, got {words['precision']}")
+    _quiet()
     _set_up(words)
     from jaxmps import io, simulation, status
     from jaxmps._cli_values import check_times
@@ -37,7 +38,7 @@ def begin(words: dict[str, Any], folder: Path, checkpoint_every: float | None, f
     file, stored = paths["run.vtkhdf"], folder / WORDS
     prepare(folder, [paths["summary.json"], paths["final.png"], stored, io.checkpoint_of(file)])
     if checkpoint_every is not None:
-        io.replace(stored, json.dumps({"format": _FORMAT, "options": words}, indent=2).encode() + b"\n")
+        io.replace_file(stored, json.dumps({"format": _FORMAT, "options": words}, indent=2).encode() + b"\n")
     import jax
 
     with warnings.catch_warnings():
@@ -51,12 +52,12 @@ def carry_on(folder: Path) -> int:
     """Resumes the run in a directory, and gives the exit code."""
     if not folder.is_dir():
         raise ValueError(f"dir must be a directory of `jaxmps run`, got {folder}")
+    _quiet()
     from jaxmps import io
 
     paths, checkpoint = _paths(folder), io.checkpoint_of(folder / "run.vtkhdf")
     if not checkpoint.exists():
         return _without_checkpoint(folder, paths)
-    io.read_checkpoint(checkpoint)  # what is wrong with it is told before JAX is waited for
     words = _words(folder / WORDS)
     _set_up(words)
     from jaxmps import restart, status
@@ -107,9 +108,13 @@ def _paths(folder: Path) -> dict[str, Path]:
     return {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png")}
 
 
-def _set_up(words: dict[str, Any]) -> None:
-    # Loading a program from the cache makes XLA print pages about two processor flags that are none.
+def _quiet() -> None:
+    # Loading a program from the cache makes XLA print pages about two processor flags that are none, unless it has been
+    # told before JAX is imported.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
+def _set_up(words: dict[str, Any]) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", words["precision"] == "double")

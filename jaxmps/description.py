@@ -42,10 +42,10 @@ def fingerprint(module: eqx.Module) -> dict[str, str]:
 
 
 def differences(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """In words, in what two fingerprints differ."""
-    nothing = "nothing"
+    """In words, in what two fingerprints differ: short values first, which say more than the sums of arrays."""
     names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
-    return [f"{name} was {then.get(name, nothing)} and is {now.get(name, nothing)}" for name in names]
+    found = [f"{name} was {then.get(name, 'nothing')} and is {now.get(name, 'nothing')}" for name in names]
+    return sorted(found, key=len)
 
 
 def _exactly(value: Any) -> str:

@@ -5,6 +5,7 @@ Connectivity, phase and density are stored once, with offset 0 in every step.
 
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,7 +61,8 @@ def writing(path: Path) -> Iterator[Any]:
         with open_file(path, "r+") as file:
             yield file
     except (OSError, RuntimeError) as error:
-        cause = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        number = re.search(r"errno = (\d+)", str(error))  # HDF5 tells it amid much else
+        cause = os.strerror(int(number[1])) if number else str(error)
         raise OSError(f"{path} could not be written: {cause}") from error
 
 

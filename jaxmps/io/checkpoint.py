@@ -35,7 +35,7 @@ def write_checkpoint(path: Path, header: Mapping[str, Any], arrays: Mapping[str,
     np.savez(buffer, allow_pickle=False, **{_HEADER: described}, **arrays)
     payload = buffer.getbuffer()
     line = f"jaxmps checkpoint {VERSION} {hashlib.sha256(payload).hexdigest()} {len(payload)}\n"
-    replace(path, line.encode(), payload)
+    replace_file(path, line.encode(), payload)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -63,7 +63,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return json.loads(arrays.pop(_HEADER).tobytes()), arrays
 
 
-def replace(path: Path, *parts: Any) -> None:
+def replace_file(path: Path, *parts: Any) -> None:
     """Makes the file at `path` one of these bytes, at once and durably; if that fails, it stays as it was.
 
     Raises `OSError` that says so.
