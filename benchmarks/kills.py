@@ -50,18 +50,19 @@ class Victim:
         self.folder, self.counts, self.random = folder, counts, random
         self.file, self.checkpoint = folder / "run.vtkhdf", folder / "run.vtkhdf.checkpoint"
         self.partial = folder / "run.vtkhdf.checkpoint.partial"
+        self.resumable = False
         self._begin = ("run", *options, "--out", str(folder), "--force")
 
     def next(self, kind: str | None) -> bool:
         """Starts or resumes it and kills it, for which there are four kinds, or lets it end; whether it has ended."""
-        resumed = self.checkpoint.exists()
         before = changed_at(self.checkpoint)
-        process = start("resume", str(self.folder)) if resumed else start(*self._begin)
-        self.counts["resumed"] += resumed
+        process = start("resume", str(self.folder)) if self.resumable else start(*self._begin)
+        self.counts["resumed"] += self.resumable
         if kind is not None:
             self._wait(kind, process, lambda: changed_at(self.checkpoint) != before)
             process.kill()
         _, said = process.communicate()
+        self.resumable = self.resumable or self.checkpoint.exists()
         if process.returncode == 0:
             return True
         if process.returncode != -9:
@@ -69,6 +70,7 @@ class Victim:
         self.counts["killed"] += 1
         self.counts[f"killed: {kind}"] += 1
         self.counts["killed with a checkpoint half written"] += self.partial.exists()
+        self.counts["killed after the last step"] += self.resumable and not self.checkpoint.exists()
         self.counts["killed with a file that cannot be read"] += self.file.exists() and not readable(self.file)
         return False
 
@@ -77,7 +79,7 @@ class Victim:
             while process.poll() is None and not happened():
                 time.sleep(every)
 
-        if kind == "any time" and self.checkpoint.exists():
+        if kind == "any time" and self.resumable:
             return until(after(self.random.uniform(0.0, STARTING)), 0.01)
         until(stepping, 0.005)
         until(after(self.random.uniform(0.0, STEPPING)), 0.001)
@@ -121,7 +123,9 @@ def datasets(path: Path) -> dict[str, np.ndarray]:
 def start(*arguments: str) -> subprocess.Popen[bytes]:
     code = "import sys; from jaxmps.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    # Programs that compile in a moment are kept, too: there are many of them.
+    environment = {**os.environ, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
 
 
 def compare(folder: Path, alone: Path) -> None:

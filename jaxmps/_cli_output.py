@@ -1,6 +1,7 @@
 """What the command line prints and writes."""
 
 import inspect
+import io
 import json
 import math
 import re
@@ -72,11 +73,15 @@ def open_run(file: Path) -> tuple[Path, "Run"]:
 def conclude(result: "Run", paths: Mapping[str, Path]) -> int:
     """Writes summary and picture of a run, prints how it went, and gives the exit code."""
     from jaxmps import plotting
+    from jaxmps.io import replace_file
 
     summary = {key: _plain(value) for key, value in result.summary.items()}
     text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
-    paths["summary.json"].write_text(text + "\n", encoding="utf-8")
-    plotting.frame(result).savefig(paths["final.png"], dpi=150)
+    picture = io.BytesIO()
+    plotting.frame(result).savefig(picture, format="png", dpi=150)
+    # Whole or not there at all: what a kill leaves out is made by `jaxmps resume`.
+    replace_file(paths["summary.json"], f"{text}\n".encode())
+    replace_file(paths["final.png"], picture.getbuffer())
     print_table("result", {key: _with_unit(key, value) for key, value in summary.items()})
     for path in paths.values():
         print(path)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxmps.case import Case
 from jaxmps.description import differences, fingerprint, versions
-from jaxmps.io import checkpoint_of, read_checkpoint, write_checkpoint
+from jaxmps.io import checkpoint_of, read_checkpoint, sync, write_checkpoint
 from jaxmps.loop import Clock, Loop
 from jaxmps.monitor import empty_log
 from jaxmps.neighbors import allocate
@@ -40,7 +40,7 @@ class Checkpoints:
         every: float,
         due: float = -math.inf,
     ):
-        self._path, self._loop, self._recorder = checkpoint_of(out), loop, recorder
+        self._out, self._path, self._loop, self._recorder = out, checkpoint_of(out), loop, recorder
         self._every, self._due = every, due
         self._header = {
             **fingerprints(case, loop.scheme),
@@ -62,7 +62,8 @@ class Checkpoints:
         self._due = next_multiple(self._every, time)
 
     def discard(self) -> None:
-        """Removes the checkpoint: there is nothing to resume any more."""
+        """Removes the checkpoint: the file is complete and, first of all, on disk."""
+        sync(self._out)
         self._path.unlink(missing_ok=True)
 
 
