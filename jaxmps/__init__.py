@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxmps.particles import Fluid as Fluid
     from jaxmps.particles import Kind as Kind
     from jaxmps.particles import Particles as Particles
+    from jaxmps.restart import resume as resume
     from jaxmps.run import Run as Run
     from jaxmps.runs import Ensemble as Ensemble
     from jaxmps.scheme import Scheme as Scheme
@@ -54,6 +55,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "io": ["gather", "read"],
         "monitor": ["StepInfo"],
         "particles": ["Fluid", "Kind", "Particles"],
+        "restart": ["resume"],
         "run": ["Run"],
         "runs": ["Ensemble"],
         "scheme": ["Scheme"],

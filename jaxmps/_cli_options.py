@@ -1,6 +1,5 @@
 """Options and arguments that commands share."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,8 +39,6 @@ def prepare_jax(precision: str) -> None:
     """JAX in this precision, with what it compiles kept for later commands."""
     if precision not in ("single", "double"):
         raise ValueError(f"precision must be single or double, got {precision}")
-    # Loading a program from the cache makes XLA print pages about two processor flags that are none.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     from jaxmps._compilation import keep_compiled

@@ -2,6 +2,7 @@
 
 import csv
 import inspect
+import io
 import json
 import math
 import re
@@ -89,11 +90,15 @@ def frames_of(text: str, count: int) -> list[int]:
 def conclude(result: "Run", paths: Mapping[str, Path], instruments: "Sequence[Probe]" = ()) -> int:
     """Writes summary, picture and readings of a run, prints how it went, and gives the exit code."""
     from jaxmps import plotting
+    from jaxmps.io import replace_file
 
     summary = {key: _plain(value) for key, value in result.summary.items()}
     text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False)
-    paths["summary.json"].write_text(text + "\n", encoding="utf-8")
-    plotting.frame(result).savefig(paths["final.png"], dpi=150)
+    picture = io.BytesIO()
+    plotting.frame(result).savefig(picture, format="png", dpi=150)
+    # Whole or not there at all: what a kill leaves out is made by `jaxmps resume`.
+    replace_file(paths["summary.json"], f"{text}\n".encode())
+    replace_file(paths["final.png"], picture.getbuffer())
     if instruments:
         from jaxmps.diagnostics import probes
 

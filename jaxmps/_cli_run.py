@@ -1,13 +1,13 @@
-"""The commands about a case: `jaxmps run`, `jaxmps check` and `jaxmps new`."""
+"""The commands about a case: `jaxmps run`, `jaxmps resume`, `jaxmps check` and `jaxmps new`."""
 
-import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from jaxmps._cli_options import Force, Settings, real, whole
-from jaxmps._cli_output import conclude, prepare, print_table, refuse, say
+from jaxmps._cli_output import prepare, print_table, refuse, say
+from jaxmps._cli_runs import begin, carry_on
 from jaxmps._cli_setup import prepare_case
 
 
@@ -23,6 +23,7 @@ def run(
     precision: Annotated[str | None, typer.Option(help="single or double; else the file's, or double.")] = None,
     on_blowup: Annotated[str, typer.Option(help="stop, or halve-dt: go back a frame and take half the step.")] = "stop",
     out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
+    checkpoint_every: Annotated[float | None, real("Time in s between checkpoints for resume; else none.")] = None,
     settings: Settings = None,
     force: Force = False,
 ) -> int:
@@ -30,32 +31,16 @@ def run(
     probes.
     """
     folder = Path(Path(case).stem if case.endswith(".toml") else case) if out is None else out
-    paths = {name: folder / name for name in ("run.vtkhdf", "summary.json", "final.png", "failure.png")}
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"out must be a directory, got the file {folder}")
-    for path in paths.values():
-        refuse(path, force)
+    words = {"case": case, "scheme": scheme, "spacing": spacing, "settings": settings or []}
     options = {"until": until, "save_every": save_every, "dt": dt, "seed": seed, "jitter": jitter}
-    setup = prepare_case(case, scheme, spacing, settings, {**options, "precision": precision})
-    if setup.probes:
-        paths["probes.csv"] = folder / "probes.csv"
-        refuse(paths["probes.csv"], force)
-    import jax
+    return begin(words | {"options": options | {"precision": precision}}, folder, checkpoint_every, on_blowup, force)
 
-    from jaxmps import simulation, status
-    from jaxmps.rescue import ON_BLOWUP
-    from jaxmps.validation import one_of
 
-    one_of("on-blowup", on_blowup, ON_BLOWUP)
-    prepare(folder, [path for name, path in paths.items() if name != "run.vtkhdf"])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", status.SimulationWarning)
-        key = jax.random.key(setup.run.seed)
-        file = paths["run.vtkhdf"]
-        result = simulation.simulate(
-            setup.case, setup.scheme, **setup.times, key=key, out=file, overwrite=force, on_blowup=on_blowup
-        )
-    return conclude(result, paths, setup.probes)
+def resume(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of a run with --checkpoint-every.")],
+) -> int:
+    """Carry on a run that was killed or interrupted, from its last checkpoint to its end."""
+    return carry_on(folder)
 
 
 def check(

@@ -16,6 +16,7 @@ def prepare_case(
     settings: list[str] | None,
     options: dict[str, Any],
     jittered: bool = True,
+    checkpoint_every: float | None = None,
 ) -> "Setup":
     """Case, scheme and times of a command; JAX is set to the precision that was asked for. Particles lie at random, as
     far as they should, only if they are to be `jittered` here.
@@ -23,6 +24,7 @@ def prepare_case(
     from jaxmps._cli_values import build, check_options
     from jaxmps.casefile import CaseFile, RunTable, Setup
 
+    check_options({"checkpoint_every": checkpoint_every})
     given = check_options(options)
     file = CaseFile(case) if case.endswith(".toml") else None
     table = RunTable(**given) if file is None else file.run.model_copy(update=given)

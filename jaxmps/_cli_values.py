@@ -109,7 +109,7 @@ def of_noise() -> dict[str, inspect.Parameter]:
 def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Those options of a run that are given, not None; `ValueError` unless they follow the rules for them."""
     given = {name: value for name, value in options.items() if value is not None}
-    for name in ("until", "save_every", "dt"):
+    for name in ("until", "save_every", "dt", "checkpoint_every"):
         if name in given:
             positive(name.replace("_", "-"), given[name], "s")
     if "jitter" in given:

@@ -1,5 +1,6 @@
 """The command `jaxmps`; commands import JAX themselves, so that help comes at once."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -21,13 +22,16 @@ from jaxmps._cli_output import (
     refuse,
     tell,
 )
-from jaxmps._cli_run import check, new, run
+from jaxmps._cli_run import check, new, resume, run
 
 app = typer.Typer(add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")
 
 
 def main(argv: list[str] | None = None) -> int:
     """Runs a command line, by default that of the process, and gives its exit code."""
+    # Loading a program from the cache makes XLA print pages about two processor flags that are none, unless it has been
+    # told before JAX is imported.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     command = typer.main.get_command(app)
     arguments = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     try:
@@ -67,6 +71,7 @@ def _top(
 
 
 app.command()(run)
+app.command()(resume)
 app.command()(check)
 app.command()(new)
 app.command()(ensemble)

@@ -1,8 +1,9 @@
 """What a run was made of, as plain values for files and tables."""
 
 import dataclasses
+import hashlib
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from typing import Any
 
@@ -32,15 +33,44 @@ def describe(module: eqx.Module) -> dict[str, Any]:
 
 
 def _entries(module: Any, prefix: str) -> Iterator[tuple[str, Any]]:
-    for field in dataclasses.fields(module):
-        name, value = prefix + field.name, getattr(module, field.name)
+    for name, value in _fields(module, prefix):
         if isinstance(value, eqx.Module):
             yield name, type(value).__name__
-            yield from _entries(value, name + ".")
-        elif isinstance(value, jax.Array | np.ndarray):
-            yield name, np.asarray(value).tolist()
         else:
-            yield name, value
+            yield name, np.asarray(value).tolist() if isinstance(value, jax.Array | np.ndarray) else value
+
+
+def _fields(module: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    for field in dataclasses.fields(module):
+        name, value = prefix + field.name, getattr(module, field.name)
+        yield name, value
+        if isinstance(value, eqx.Module):
+            yield from _fields(value, name + ".")
+
+
+def fingerprint(module: eqx.Module) -> dict[str, str]:
+    """Every part and value of a module by its dotted name, exactly, in a few words each: equal where results are.
+
+    A number is told as it is, an array by its type, its shape and the beginning of its SHA-256 sum.
+    """
+    return {name: _exactly(value) for name, value in _fields(module, "")}
+
+
+def differences(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """In words, in what two fingerprints differ: short values first, which say more than the sums of arrays."""
+    names = [name for name in {**then, **now} if then.get(name) != now.get(name)]
+    found = [f"{name} was {then.get(name, 'nothing')} and is {now.get(name, 'nothing')}" for name in names]
+    return sorted(found, key=len)
+
+
+def _exactly(value: Any) -> str:
+    if not isinstance(value, jax.Array | np.ndarray):
+        return type(value).__qualname__ if isinstance(value, eqx.Module) else repr(value)
+    array = np.asarray(value)
+    if array.size <= 4:
+        return f"{array.tolist()} ({array.dtype})"
+    digest = hashlib.sha256(array.tobytes()).hexdigest()
+    return f"{array.dtype}{list(array.shape)} {digest[:16]}"
 
 
 def versions() -> dict[str, str]:

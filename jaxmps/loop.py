@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time as clock
+from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -31,7 +32,7 @@ _FEWEST = 4  # steps in a call: its temporaries, a gigabyte for 500 000 particle
 class Clock(NamedTuple):
     """Time [s] to the next frame: carried unrounded from chunk to chunk, so that chunks leave no trace in the results.
 
-    `largest` is the largest time step so far in the run.
+    `largest` is the largest time step so far in the run. A checkpoint has the clock, too.
     """
 
     duration: Scalar
@@ -50,7 +51,8 @@ class Loop:
         self.case, self.scheme, self.state, self.dt, self.key = case.undescribed(), scheme, state, dt, key
         self.log = empty_log(case.dim)
         self._noted: tuple[Event, ...] = ()
-        self._chunk, self._largest = 16, jnp.zeros_like(state.time)
+        self._chunk, zero = 16, jnp.zeros_like(state.time)
+        self.timer = Clock(zero, zero, zero, zero)
         full = lattice(scheme.ratio, case.dim).neighbors
         self._most = min(40 * full, len(case.particles.kind))
 
@@ -68,20 +70,24 @@ class Loop:
             self.scheme = eqx.tree_at(lambda s: s.time_step, self.scheme, rule)
         else:
             self.dt = 0.5 * self.dt
-        self._largest, self._noted = 0.5 * self._largest, (*self._noted, event)
+        self.timer = self.timer._replace(largest=0.5 * self.timer.largest)
+        self._noted = (*self._noted, event)
 
-    def reach(self, target: float, bar: Meter) -> None:
-        """Steps until the time `target` [s], or to the last good state before a failure."""
-        begin = float(self.state.time)
+    def reach(self, target: float, bar: Meter, look: Callable[[], None] = lambda: None) -> None:
+        """Steps until the time `target` [s], or to the last good state before a failure.
+
+        Before each chunk it calls `look`, which may keep state, timer and log: a loop that is given them goes on there.
+        """
         zero = jnp.zeros((), self.state.time.dtype)
-        timer = Clock(zero + (target - begin), zero, zero, self._largest)
-        while float(timer.elapsed) < float(timer.duration):
+        if float(self.timer.elapsed) >= float(self.timer.duration):
+            self.timer = Clock(zero + (target - float(self.state.time)), zero, zero, self.timer.largest)
+        while float(self.timer.elapsed) < float(self.timer.duration):
+            look()
             began = clock.perf_counter()
-            carry = (self.state, timer, self.log)
+            carry = (self.state, self.timer, self.log)
             carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
-            self.state, timer, self.log = carry
-            self._largest = timer.largest
-            bar.update(begin + float(timer.elapsed), float(timer.dt), float(self.log.max_speed))
+            self.state, self.timer, self.log = carry
+            bar.update(float(self.state.time), float(self.timer.dt), float(self.log.max_speed))
             if int(status) & Status.TIME_STEP_COLLAPSED:
                 self.note(Status.TIME_STEP_COLLAPSED)
             if int(status) & FATAL:

@@ -1,6 +1,7 @@
 """Keeps the frames of a run, in memory or in a file, and makes the `Run`."""
 
 import time as clock
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ from jaxmps.case import Case
 from jaxmps.description import describe, versions
 from jaxmps.energy import mechanical_energy
 from jaxmps.io import Writer, read
-from jaxmps.monitor import Log
+from jaxmps.monitor import BITS, Log
 from jaxmps.particles import Kind
 from jaxmps.run import Run
 from jaxmps.scheme import Scheme
-from jaxmps.status import Outcome
+from jaxmps.status import Outcome, Status
 from jaxmps.stepping import State
 
 _energy = jit(mechanical_energy)
@@ -46,7 +47,9 @@ class Recorder:
         settings: dict[str, Any],
         out: str | Path | None,
         overwrite: bool,
+        kept: Mapping[str, Any] | None = None,
     ):
+        """`kept` is what another recorder had in `keep`, whose file `out` this one carries on."""
         self._case, self._began = case, clock.perf_counter()
         position = case.particles.position
         self._fixed = {
@@ -64,7 +67,12 @@ class Recorder:
         self._energies: list[float] = []
         self._frames: list[dict[str, Any]] = []
         self._writer = None
-        if out is not None:
+        if kept is not None and out is not None:
+            self._began -= float(kept["seconds"])
+            self._writer = Writer.restored(out, kept["image"])
+            times, energies = self._writer.history()
+            self._times, self._energies = times.tolist(), energies.sum(axis=1).tolist()
+        elif out is not None:
             frames = round(settings["until"] / settings["save_every"]) + 1
             self._writer = Writer(
                 out,
@@ -76,12 +84,16 @@ class Recorder:
                 frames=frames,
             )
 
+    def keep(self) -> dict[str, Any]:
+        """What another recorder needs to carry on with the file: wall time so far [s], and the file's image."""
+        if self._writer is None:
+            raise ValueError("out must be given: only a run that is written to a file can be carried on")
+        return {"seconds": clock.perf_counter() - self._began, "image": self._writer.image()}
+
     def save(self, state: State) -> None:
         """Adds the state as a frame, unless it is the last one already."""
         p, time = state.particles, float(state.time)
-        if not self._times:
-            self._removed = int(np.sum(np.asarray(p.kind) == Kind.REMOVED))
-        elif self._times[-1] == time:
+        if self._times and self._times[-1] == time:
             return
         energy = _energy(p, self._case.density, self._case.gravity)
         frame: dict[str, Any] = jax.device_get(fields(state))
@@ -104,7 +116,7 @@ class Recorder:
             "scheme": self._metadata["scheme"]["name"],
             "particles": len(kind),
             "fluid_particles": int(np.sum(kind == Kind.FLUID)),
-            "escaped": int(np.sum(kind == Kind.REMOVED)) - self._removed,
+            "escaped": int(log.count[BITS.index(Status.ESCAPED)]),
             "steps": steps,
             "time": float(state.time),
             "status": str(outcome),

@@ -1,6 +1,8 @@
 """Running a case: `start` and the pure `rollout`; `simulate` is the host's loop around compiled chunks of steps."""
 
 import warnings
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -11,6 +13,8 @@ from jaxtyping import Array, Key
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.case import Case
+from jaxmps.checkpoints import Checkpoints
+from jaxmps.io import checkpoint_of
 from jaxmps.loop import Loop, frame_times
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
@@ -76,6 +80,7 @@ def simulate(
     progress: bool | None = None,
     start: State | None = None,
     on_blowup: str = "stop",
+    checkpoint_every: float | None = None,
 ) -> Run:
     """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
 
@@ -86,8 +91,13 @@ def simulate(
     same way. `start` carries on from another state. With `on_blowup="halve-dt"` a run that blows up goes back to its
     last frame and on from there with half the time step, at most ten times in a row; each is an event of the status.
 
-    Raises `ValueError` for times that are not positive or an unknown `on_blowup`, `FileExistsError` for an existing
-    file.
+    With `checkpoint_every` [s] all that the run goes on from is kept beside `out`, in a file with `.checkpoint` behind
+    its name: at the start and then at the first pause of the compiled steps, some tenths of a second of wall time
+    apart, at or after each multiple of that time. The steps are the same with and without. `resume` carries the run on
+    after a kill or a failure of the machine; the checkpoint of a run that has reached its end is removed.
+
+    Raises `ValueError` for times that are not positive, an unknown `on_blowup`, or checkpoints with "halve-dt",
+    `FileExistsError` for an existing file.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
@@ -100,16 +110,41 @@ def simulate(
     if begin >= until:
         raise ValueError(f"until must exceed the time of the start, {begin:g} s, got {until:g} s")
     _check_time_step(case, scheme, state, fixed)
-    settings = {"until": until, "save_every": save_every, "dt": dt, "on_blowup": on_blowup}
+    if checkpoint_every is not None:
+        positive("checkpoint_every", checkpoint_every, "s")
+        if out is None:
+            raise ValueError("checkpoint_every needs out, the file beside which checkpoints are kept, got None")
+        if on_blowup != "stop":  # a checkpoint does not know how often the time step was halved
+            raise ValueError(f"checkpoint_every must go with on_blowup stop, got {on_blowup}")
+    settings = {"begin": begin, "until": until, "save_every": save_every, "dt": dt, "on_blowup": on_blowup}
     settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
     loop = Loop(case, scheme, state, fixed, key)
     rescue = Rescue(loop, on_blowup)
     recorder = Recorder(case, scheme, settings, out, overwrite)
     recorder.save(state)
-    with meter(until, progress) as bar:
+    checkpoints = None
+    if out is not None:
+        checkpoint_of(Path(out)).unlink(missing_ok=True)  # of a run that was there before
+    if checkpoint_every is not None and out is not None:
+        checkpoints = Checkpoints(Path(out), loop, recorder, case, settings, checkpoint_every)
+    return march(rescue, recorder, checkpoints, frame_times(begin, until, save_every), 1, progress)
+
+
+def march(
+    rescue: Rescue,
+    recorder: Recorder,
+    checkpoints: Checkpoints | None,
+    times: Sequence[float],
+    first: int,
+    progress: bool | None,
+) -> Run:
+    """The rest of a run, from where its loop stands to the frame number `first` of those at `times` [s], and on."""
+    loop = rescue.loop
+    with meter(times[-1], progress) as bar:
         try:
-            for time in frame_times(begin, until, save_every)[1:]:
-                rescue.reach(time, bar)
+            for frame in range(first, len(times)):
+                look = (lambda: None) if checkpoints is None else partial(checkpoints.look, frame)
+                rescue.reach(times[frame], bar, look)
                 recorder.save(loop.state)
                 if loop.outcome.flags & FATAL:
                     break
@@ -118,8 +153,11 @@ def simulate(
             loop.note(Status.INTERRUPTED)
     outcome = loop.outcome
     if outcome.events:
-        warnings.warn(f"{outcome}. Advice: {outcome.advice}", SimulationWarning, stacklevel=2)
-    return recorder.finish(loop.state, loop.log, outcome)
+        warnings.warn(f"{outcome}. Advice: {outcome.advice}", SimulationWarning, stacklevel=3)
+    run = recorder.finish(loop.state, loop.log, outcome)
+    if checkpoints is not None and outcome.completed:
+        checkpoints.discard()
+    return run
 
 
 _start = start  # `simulate` has an argument of that name

@@ -1,6 +1,7 @@
 """The files of runs, as viewers see them and as `read` does."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -172,6 +173,26 @@ def test_run_killed_by_sigkill_keeps_the_frames_it_has_saved(tmp_path: Path) -> 
     assert vtk_reader(path).GetNumberOfSteps() == len(run) == FRAMES
     np.testing.assert_array_equal(run.position[-1], frame(FRAMES - 1, 2, "f8")["position"])
     assert not run.status.completed and run.summary == {}
+
+
+def test_write_that_fails_is_one_error_and_the_file_is_brought_back_to_its_image(tmp_path: Path) -> None:
+    path = tmp_path / "run.vtkhdf"
+    writer, frames = start(path), [frame(k, 2, "f8") for k in range(FRAMES)]
+    for values in frames[:2]:
+        writer.append(**values)
+    image = writer.image()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 1000, hard))
+    try:
+        with pytest.raises(OSError, match=r"run\.vtkhdf could not be written: File too large$"):
+            writer.append(**frames[2])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    again = Writer.restored(path, image)
+    times, energies = again.history()
+    assert (times.tolist(), energies[:, 0].tolist()) == ([0.0, 0.1], [1.0, 2.0])
+    again.append(**frames[2])
+    np.testing.assert_array_equal(read(path).position, [values["position"] for values in frames])
 
 
 def test_frame_is_added_while_a_viewer_has_the_file_open(tmp_path: Path) -> None:

@@ -1,6 +1,13 @@
-"""Files of runs, which ParaView and PyVista open as they are; of ensembles; and particles of other programs."""
+"""Files of runs, which ParaView and PyVista open as they are, and their checkpoints; of ensembles; and particles of
+other programs.
+"""
 
 from jaxmps.io._text import TYPES as TYPES
+from jaxmps.io.checkpoint import checkpoint_of as checkpoint_of
+from jaxmps.io.checkpoint import read_checkpoint as read_checkpoint
+from jaxmps.io.checkpoint import replace_file as replace_file
+from jaxmps.io.checkpoint import sync as sync
+from jaxmps.io.checkpoint import write_checkpoint as write_checkpoint
 from jaxmps.io.exchange import FORMATS as FORMATS
 from jaxmps.io.exchange import export as export
 from jaxmps.io.exchange import particles_from as particles_from

@@ -4,7 +4,10 @@ Connectivity, phase and density are stored once, with offset 0 in every step.
 """
 
 import math
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +38,33 @@ def create(path: Path, particles: int, dtype: np.dtype, frames: int) -> None:
 def open_file(path: Path, mode: str) -> Any:
     """The HDF5 file, unlocked: a viewer may have it open. No cache: appends write nothing twice."""
     return h5py.File(path, mode, libver=_LIBVER, locking=False, rdcc_nbytes=0)
+
+
+def reserve(path: Path, overwrite: bool) -> None:
+    """An empty file at `path`; `FileExistsError` if there is one that must not be replaced."""
+    for folder in path.parents:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if overwrite and path.is_file():
+        # Not emptied but unlinked: a viewer that has the old file open keeps it whole.
+        path.unlink()
+    try:
+        path.open("xb").close()
+    except FileExistsError:
+        raise FileExistsError(f"{path} exists already: choose another path, or allow it to be overwritten") from None
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[Any]:
+    """The HDF5 file to be written to; one `OSError` that names it if that fails, on a full disk for example."""
+    try:
+        with open_file(path, "r+") as file:
+            yield file
+    except (OSError, RuntimeError) as error:
+        number = re.search(r"errno = (\d+)", str(error))  # HDF5 tells it amid much else
+        cause = os.strerror(int(number[1])) if number else str(error)
+        raise OSError(f"{path} could not be written: {cause}") from error
 
 
 def append_step(root: Any, time: float, columns: Mapping[str, np.ndarray]) -> None:

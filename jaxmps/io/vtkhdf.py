@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from jaxmps.description import UNITS
-from jaxmps.io import _layout
+from jaxmps.io import _image, _layout
 from jaxmps.run import Run
 from jaxmps.status import Event, Outcome, Status
 
@@ -55,7 +55,7 @@ class Writer:
             raise ValueError("phase must have at least one particle, got none")
         units = {**UNITS, **metadata.get("units", {})}
         described = {key: _to_json(value) for key, value in {**metadata, "units": units}.items()}
-        _reserve(self.path, overwrite)
+        _layout.reserve(self.path, overwrite)
         _layout.create(self.path, self._particles, self._dtype, max(frames, 1))
         with _layout.open_file(self.path, "r+") as file:
             data = file["VTKHDF/PointData"]
@@ -66,6 +66,31 @@ class Writer:
             _layout.create_growing(own, "energy", (2,), np.float64)
             own.attrs.update(format=FORMAT, dim=dim, spacing=float(spacing))
             own.create_group("metadata").attrs.update(described)
+
+    @classmethod
+    def restored(cls, path: str | Path, image: Mapping[str, np.ndarray]) -> "Writer":
+        """A writer that goes on with a file as it was when its `image` was taken; `ValueError` if it is not that file.
+
+        Frames added since then, whole or torn, are gone.
+        """
+        writer = object.__new__(cls)
+        writer.path = Path(path)
+        _image.put_back(writer.path, image)
+        with _layout.open_file(writer.path, "r") as file:
+            root = file["VTKHDF"]
+            writer._dim, writer._dtype = int(file["jaxmps"].attrs["dim"]), root["Points"].dtype
+            writer._particles = int(root["NumberOfPoints"][0])
+        return writer
+
+    def history(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (m,) [s] and energies (m, 2) [J/kg] of the frames so far."""
+        with _layout.open_file(self.path, "r") as file:
+            frames, own = int(file["VTKHDF/Steps"].attrs["NSteps"]), file["jaxmps"]
+            return own["time"][:frames], own["energy"][:frames]
+
+    def image(self) -> dict[str, np.ndarray]:
+        """What `restored` needs to bring the file back to this instant; its frames are on disk then."""
+        return _image.take(self.path)
 
     def append(
         self,
@@ -88,7 +113,7 @@ class Writer:
             "PointData/kind": self._column("kind", kind, np.int8),
         }
         energies = _checked("energy", np.asarray(energy, np.float64), (2,))
-        with _layout.open_file(self.path, "r+") as file:
+        with _layout.writing(self.path) as file:
             root = file["VTKHDF"]
             _layout.put(file["jaxmps/energy"], int(root["Steps"].attrs["NSteps"]), energies[None])
             _layout.append_step(root, float(time), columns)
@@ -96,7 +121,7 @@ class Writer:
 
     def finish(self, status: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
         """Writes how the run ended."""
-        with _layout.open_file(self.path, "r+") as file:
+        with _layout.writing(self.path) as file:
             file["jaxmps"].attrs["summary"] = _to_json(summary)
             file["jaxmps"].attrs["status"] = _to_json(status)
 
@@ -160,20 +185,6 @@ def _read_fields(file: Any) -> dict[str, Any]:
         last = float(fields["time"][-1]) if frames else 0.0
         fields["status"] = Outcome((Event(int(Status.INTERRUPTED), last, step=frames),))
     return fields
-
-
-def _reserve(path: Path, overwrite: bool) -> None:
-    for folder in path.parents:
-        if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if overwrite and path.is_file():
-        # Not emptied but unlinked: a viewer that has the old file open keeps it whole.
-        path.unlink()
-    try:
-        path.open("xb").close()
-    except FileExistsError:
-        raise FileExistsError(f"{path} exists already: choose another path, or allow it to be overwritten") from None
 
 
 def _checked(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -75,7 +75,10 @@ def wet(ensemble: Ensemble, frame: int = -1, ax: Any = None) -> "Figure":
     corners = [x for ends in zip(box["lower"], box["upper"], strict=True) for x in ends]
     image = ax.imshow(probability.T, origin="lower", extent=corners, cmap="Blues", vmin=0.0, vmax=1.0, aspect="equal")
     ax.figure.colorbar(image, ax=ax, label="probability of being wet", fraction=0.03, pad=0.02)
-    ax.set(xlabel="x [m]", ylabel="y [m]")
+    highest = int(np.flatnonzero(np.any(ensemble.mean("wet") > 0.0, axis=(0, 1)))[-1:].sum()) + 2
+    height = (box["upper"][1] - box["lower"][1]) / probability.shape[1]
+    top = min(box["lower"][1] + highest * height, box["upper"][1])  # where it was ever wet
+    ax.set(xlabel="x [m]", ylabel="y [m]", ylim=(box["lower"][1], top))
     ax.set_title(f"t = {ensemble.time[frame]:.3g} s, {len(ensemble)} members", loc="left", fontsize=11)
     return ax.figure
 
