@@ -1,14 +1,15 @@
 """What the pages take from elsewhere: sections of README.md, the public names with their docstrings, the commands.
 
-A line of its own in a page, `% readme: Heading`, `% api: module`, `% models: module` or `% commands`, stands for it.
+A line of its own in a page, `% readme: Heading`, `% api: module`, `% models: module`, `% status`
+or `% commands`, stands for it.
 """
 
 import ast
 import functools
 import importlib
 import inspect
+import itertools
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -35,6 +36,7 @@ def filled(page: str) -> str:
     page = re.sub(r"^% readme: (.+)$", lambda mark: readme(mark[1]), page, flags=re.MULTILINE)
     page = re.sub(r"^% api: (.+)$", lambda mark: api(mark[1], public(mark[1])), page, flags=re.MULTILINE)
     page = re.sub(r"^% models: (.+)$", lambda mark: api(mark[1], models(mark[1])), page, flags=re.MULTILINE)
+    page = re.sub(r"^% status$", lambda mark: status(), page, flags=re.MULTILINE)
     return re.sub(r"^% commands$", lambda mark: commands(), page, flags=re.MULTILINE)
 
 
@@ -67,12 +69,9 @@ def public(module: str) -> dict[str, Any]:
 
 
 def models(module: str) -> dict[str, Any]:
-    """The parts of schemes that a module defines."""
-    return {
-        name: value
-        for name, value in public(module).items()
-        if inspect.isclass(value) and issubclass(value, eqx.Module)
-    }
+    """The parts of schemes that a module defines, without those that `jaxmps` itself has."""
+    found = {name: value for name, value in public(module).items() if name not in public("jaxmps")}
+    return {name: value for name, value in found.items() if inspect.isclass(value) and issubclass(value, eqx.Module)}
 
 
 def api(module: str, names: dict[str, Any]) -> str:
@@ -94,7 +93,8 @@ def api(module: str, names: dict[str, Any]) -> str:
 def constant_docstring(name: str) -> str:
     """The text below the assignment of a constant in the package; empty if there is none."""
     for path in sorted((ROOT / "jaxmps").rglob("*.py")):
-        for first, second in _neighbors(ast.parse(path.read_text(encoding="utf-8")).body):
+        text = path.read_text(encoding="utf-8")
+        for first, second in itertools.pairwise(ast.parse(text).body) if name in text else ():
             targets = first.targets if isinstance(first, ast.Assign) else [getattr(first, "target", None)]
             assigned = any(isinstance(target, ast.Name) and target.id == name for target in targets)
             if assigned and isinstance(second, ast.Expr) and isinstance(second.value, ast.Constant):
@@ -102,8 +102,12 @@ def constant_docstring(name: str) -> str:
     return ""
 
 
-def _neighbors(body: list[ast.stmt]) -> Iterator[tuple[ast.stmt, ast.stmt]]:
-    return zip(body, body[1:], strict=False)
+def status() -> str:
+    """What each bit of a status means, and what to try."""
+    from jaxmps.status import ADVICE, FATAL, MESSAGES
+
+    rows = [f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {ADVICE[bit]} |" for bit in MESSAGES]
+    return "\n".join(["| bit | meaning | ends the run | advice |", "|---|---|---|---|", *rows])
 
 
 def commands() -> str:
