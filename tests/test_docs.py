@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,7 +23,7 @@ from jaxmps.cli import app
 ROOT = Path(__file__).parent.parent
 SITE = ROOT / "docs" / "site"
 PAGES = [ROOT / "README.md", *sorted(SITE.rglob("*.md"))]
-ids = {"ids": lambda path: path.name}
+name_of = attrgetter("name")
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +102,7 @@ def test_every_model_that_a_scheme_can_have_is_in_the_reference(pages):
         assert len(parts) >= 10
 
 
-@pytest.mark.parametrize("path", PAGES, **ids)
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
 def test_links_and_pictures_lead_somewhere(path, pages):
     text = path.read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)\s]+)\)", prose(path))
@@ -128,7 +129,7 @@ def test_every_page_is_in_the_contents():
     assert sorted(listed) == sorted(name for name in there if name != "index")
 
 
-@pytest.mark.parametrize("path", [path for path in PAGES if blocks(path, "python")], **ids)
+@pytest.mark.parametrize("path", [path for path in PAGES if blocks(path, "python")], ids=name_of)
 def test_python_on_the_pages_calls_what_there_is(path):
     for code in blocks(path, "python"):
         for node in ast.walk(ast.parse(code)):
@@ -156,7 +157,7 @@ def commands(path: Path) -> list[list[str]]:
     return [words[1 : words.index(">") if ">" in words else None] for words in found if "COMMAND" not in words]
 
 
-@pytest.mark.parametrize("path", [path for path in PAGES if commands(path)], **ids)
+@pytest.mark.parametrize("path", [path for path in PAGES if commands(path)], ids=name_of)
 def test_command_lines_on_the_pages_are_understood(path):
     command = typer.main.get_command(app)
     known = {"case": {"tank", *case_factories()}, "scheme": set(scheme_factories())}
