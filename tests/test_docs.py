@@ -7,6 +7,7 @@ import inspect
 import re
 import shlex
 import sys
+import tomllib
 from collections.abc import Iterator
 from operator import attrgetter
 from pathlib import Path
@@ -18,6 +19,7 @@ import typer
 
 import jaxmps
 from jaxmps._cli_values import case_factories, scheme_factories
+from jaxmps.casefile.models import OwnFile
 from jaxmps.cli import app
 
 ROOT = Path(__file__).parent.parent
@@ -176,6 +178,15 @@ def test_command_lines_on_the_pages_are_understood(path):
         for kind, names in known.items():
             value = given.get(kind)
             assert value is None or value in names or str(value).endswith(".toml"), f"{path.name} shows {value}"
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if blocks(path, "toml")], ids=name_of)
+def test_tables_of_case_files_on_the_pages_are_accepted(path):
+    whole = tomllib.loads((ROOT / "examples" / "cases" / "l_shaped_tank.toml").read_text(encoding="utf-8"))
+    for code in blocks(path, "toml"):
+        tables = tomllib.loads(code)
+        OwnFile.model_validate(whole | tables)
+        assert tables
 
 
 def test_a_docstring_keeps_its_signs_and_its_formula(pages):

@@ -17,6 +17,8 @@ from typing import Any
 import equinox as eqx
 import typer
 
+from jaxmps.linear import AbstractOperator
+
 ROOT = Path(__file__).parent.parent.parent
 MODULES = (
     "jaxmps",
@@ -71,7 +73,8 @@ def public(module: str) -> dict[str, Any]:
 def models(module: str) -> dict[str, Any]:
     """The parts of schemes that a module defines, without those that `jaxmps` itself has."""
     found = {name: value for name, value in public(module).items() if name not in public("jaxmps")}
-    return {name: value for name, value in found.items() if inspect.isclass(value) and issubclass(value, eqx.Module)}
+    parts = {name: value for name, value in found.items() if inspect.isclass(value) and issubclass(value, eqx.Module)}
+    return {name: value for name, value in parts.items() if not issubclass(value, AbstractOperator)}
 
 
 def api(module: str, names: dict[str, Any]) -> str:
@@ -79,7 +82,8 @@ def api(module: str, names: dict[str, Any]) -> str:
     lines = ["```{eval-rst}", f".. currentmodule:: {module}", ""]
     for name, value in sorted(names.items(), key=lambda item: item[0].lower()):
         if inspect.isclass(value):
-            lines += [f".. autoclass:: {name}", "   :members:", "   :show-inheritance:", ""]
+            call = ["   :special-members: __call__"] if inspect.isabstract(value) else []  # what a model must do
+            lines += [f".. autoclass:: {name}", "   :members:", "   :show-inheritance:", *call, ""]
         elif callable(value):
             lines += [f".. autofunction:: {name}", ""]
         else:
