@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: help demo test lint format bench clean
+.PHONY: help demo test lint format bench docs clean
 
 help:
 	@echo "make demo    run a dam break and animate it"
@@ -10,6 +10,7 @@ help:
 	@echo "make lint    all of these but the tests"
 	@echo "make format  format the code"
 	@echo "make bench   run the benchmarks"
+	@echo "make docs    build the documentation, build/docs/index.html"
 	@echo "make clean   remove the environment and what runs have made"
 
 .venv/.installed: pyproject.toml
@@ -25,6 +26,10 @@ help:
 
 .venv/.installed-test: .venv/.installed
 	$(BIN)/python -m pip install --quiet -e '.[test]'
+	@touch $@
+
+.venv/.installed-docs: .venv/.installed
+	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	@touch $@
 
 demo: .venv/.installed
@@ -51,6 +56,10 @@ format: .venv/.installed-test
 # Large pages: without them, touching fresh memory takes a third of the time of a call with 500 000 particles.
 bench: .venv/.installed
 	GLIBC_TUNABLES=glibc.malloc.hugetlb=1 $(BIN)/python -m benchmarks
+
+docs: .venv/.installed-docs
+	JAX_PLATFORMS=cpu $(BIN)/python -m sphinx -W --keep-going -q -b html docs/site build/docs
+	@echo build/docs/index.html
 
 clean:
 	rm -rf .venv build dist out demo .pytest_cache .ruff_cache .import_linter_cache

@@ -45,10 +45,12 @@ class Box(eqx.Module):
 
     @property
     def dim(self) -> int:
+        """The number of dimensions, 2 or 3."""
         return len(self.lower)
 
     @property
     def lengths(self) -> tuple[float, ...]:
+        """The length [m] along each axis."""
         return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
     def displacement(self, r_ij: Float[Array, "*pairs d"]) -> Float[Array, "*pairs d"]:

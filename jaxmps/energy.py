@@ -17,6 +17,7 @@ class Energy(NamedTuple):
 
     @property
     def total(self) -> Float[Array, "*steps"]:
+        """Kinetic and potential energy together [J/kg]."""
         return self.kinetic + self.potential
 
 

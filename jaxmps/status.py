@@ -106,6 +106,7 @@ class Outcome:
 
     @property
     def flags(self) -> Status:
+        """The bits of all events."""
         flags = Status(0)
         for event in self.events:
             flags |= Status(event.status)
@@ -137,6 +138,7 @@ class Outcome:
         return "; ".join(str(event) for event in self.events) or "completed"
 
     def to_dict(self) -> dict[str, Any]:
+        """Values for JSON; `from_dict` reads them."""
         return {
             "completed": self.completed,
             "message": str(self),
@@ -145,6 +147,7 @@ class Outcome:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Outcome":
+        """What `to_dict` made. Raises `KeyError` for other data."""
         events = []
         for entry in data["events"]:
             place = entry["position"]

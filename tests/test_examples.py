@@ -79,7 +79,7 @@ def test_the_grain_examples_move_the_grains_the_right_way(name, upward, tmp_path
 def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     text = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
     small = {"spacing=0.02": "spacing=0.1", "until=1.0": "until=0.1", "steps=100": "steps=10", ":1250": ":50"}
-    small |= {"steps=200": "steps=10", "steps=30": "steps=2"}
+    small |= {"steps=200": "steps=10", "steps=30": "steps=2", "key(0), 64": "key(0), 2", "until=4.0": "until=0.1"}
     for full, little in small.items():
         assert full in text
         text = text.replace(full, little)
@@ -89,6 +89,7 @@ def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     assert float(capsys.readouterr().out) != 0.0
     assert (tmp_path / "dam.vtkhdf").exists()
     assert len(names["history"].loss) == 2 and (tmp_path / "tuning").exists()
+    assert len(names["many"]) == 2 and mps.read(tmp_path / "long.vtkhdf").status.completed
 
 
 def test_the_standing_wave_example_fits_its_wave_and_closes_its_budget(tmp_path, monkeypatch, capsys):

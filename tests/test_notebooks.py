@@ -12,14 +12,23 @@ SMALL = {
     "02_schemes_compared": "spacing = 0.1\nuntil = 0.2",
     "03_tuning_alpha_ds": "spacing = 0.1\nuntil = 1.2\nupdates = 3\nseeds = 2",
     "04_tuning_alpha_stochastic": "spacing = 0.1\nuntil = 0.5\nupdates = 3\npairs = 1\nseeds = 2",
+    "05_ensembles": "spacing = 0.1\nuntil = 0.2\nmembers = 4\n"
+    "wave_spacing = 0.1\nwave_until = 0.2\nalphas = 2\nseeds = 2",
 }
 """The first cell of each, with the parameters."""
-FIGURES = {"01_first_run": 3, "02_schemes_compared": 3, "03_tuning_alpha_ds": 2, "04_tuning_alpha_stochastic": 4}
+FIGURES = {
+    "01_first_run": 3,
+    "02_schemes_compared": 3,
+    "03_tuning_alpha_ds": 2,
+    "04_tuning_alpha_stochastic": 4,
+    "05_ensembles": 3,
+}
 SAYS = {
     "01_first_run": "by gravity",
     "02_schemes_compared": "tip",
     "03_tuning_alpha_ds": "better by",
     "04_tuning_alpha_stochastic": "better by",
+    "05_ensembles": "least error at alpha",
 }
 
 HURRY = f"""

@@ -98,7 +98,7 @@ class Scripted(Loop):
     def outcome(self) -> Outcome:
         return self.outcome_
 
-    def reach(self, target: float, bar: object) -> None:
+    def reach(self, target: float, bar: object, look: object) -> None:
         failed = self.halvings < sum(self.failures[: int(target) + 1])
         self.outcome_ = Outcome((Event(int(Status.NOT_FINITE), target, 0),) if failed else ())
 

@@ -51,6 +51,7 @@ class CaseFile:
 
     @property
     def run(self) -> RunTable:
+        """The table `[run]`, with its defaults."""
         return self.tables.run
 
     def build(

@@ -85,6 +85,7 @@ class Probe(NamedTuple):
 
     @property
     def unit(self) -> str:
+        """Of the readings: Pa or m."""
         return "Pa" if self.kind.endswith("pressure") else "m"
 
     def measure(self, run: Run) -> Float[np.ndarray, " m"]:

@@ -32,10 +32,12 @@ class Grid:
 
     @property
     def dim(self) -> int:
+        """The number of axes."""
         return len(self.elements)
 
     @property
     def nodes(self) -> tuple[int, ...]:
+        """Nodes along each axis; the last one of a periodic axis is its first."""
         return tuple(m + (not p) for m, p in zip(self.elements, self.periodic, strict=True))
 
     @property
@@ -56,6 +58,7 @@ class Grid:
 
     @property
     def coarser(self) -> "Grid":
+        """The grid of the next level: elements joined in twos along the axes that are split."""
         size = tuple(h * (1 + s) for h, s in zip(self.size, self.split, strict=True))
         elements = tuple(m // (1 + s) for m, s in zip(self.elements, self.split, strict=True))
         return Grid(self.lower, size, elements, self.periodic)

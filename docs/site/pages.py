@@ -1,0 +1,176 @@
+"""What the pages take from elsewhere: sections of README.md, the public names with their docstrings, the commands.
+
+A line of its own in a page, `% readme: Heading`, `% api: module`, `% models: module`, `% status`
+or `% commands`, stands for it.
+"""
+
+import ast
+import functools
+import importlib
+import inspect
+import itertools
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import equinox as eqx
+import typer
+
+from jaxmps.linear import AbstractOperator
+
+ROOT = Path(__file__).parent.parent.parent
+MODULES = (
+    "jaxmps",
+    "jaxmps.cases",
+    "jaxmps.schemes",
+    "jaxmps.operators",
+    "jaxmps.diagnostics",
+    "jaxmps.plotting",
+    "jaxmps.io",
+    "jaxmps.casefile",
+)
+"""The public modules."""
+
+
+def filled(page: str) -> str:
+    """A page with its marks replaced by what they stand for."""
+    page = re.sub(r"^% readme: (.+)$", lambda mark: readme(mark[1]), page, flags=re.MULTILINE)
+    page = re.sub(r"^% api: (.+)$", lambda mark: api(mark[1], public(mark[1])), page, flags=re.MULTILINE)
+    page = re.sub(r"^% models: (.+)$", lambda mark: api(mark[1], models(mark[1])), page, flags=re.MULTILINE)
+    page = re.sub(r"^% status$", lambda mark: status(), page, flags=re.MULTILINE)
+    return re.sub(r"^% commands$", lambda mark: commands(), page, flags=re.MULTILINE)
+
+
+def readme(heading: str) -> str:
+    """The text of README.md under this heading, without it; `Introduction` is what stands below the title.
+
+    Links point from the site: to the page that has the gallery, and to pictures one folder up.
+    """
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    start = "# jaxmps" if heading == "Introduction" else f"## {heading}"
+    found = re.search(rf"^{re.escape(start)}\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE)
+    if found is None:
+        raise ValueError(f"README.md must have the heading {start!r}")
+    return found[1].replace("](#gallery)", "](gallery.md)").replace("](docs/", "](../").strip()
+
+
+def public(module: str) -> dict[str, Any]:
+    """The public names of a module of the package, without modules; of a single file those that it defines."""
+    loaded = importlib.import_module(module)
+    if hasattr(loaded, "__all__"):
+        names = loaded.__all__
+    elif Path(str(loaded.__file__)).name == "__init__.py":
+        names = [name for name in vars(loaded) if not name.startswith("_")]
+    else:
+        names = [name for name, found in vars(loaded).items() if getattr(found, "__module__", "") == module]
+        names = [name for name in names if not name.startswith("_")]
+    found = {name: getattr(loaded, name) for name in names}
+    # `from package.module import name` leaves the module among the names, too.
+    return {name: value for name, value in found.items() if not isinstance(value, ModuleType)}
+
+
+def models(module: str) -> dict[str, Any]:
+    """The parts of schemes that a module defines, without those that `jaxmps` itself has."""
+    found = {name: value for name, value in public(module).items() if name not in public("jaxmps")}
+    parts = {name: value for name, value in found.items() if inspect.isclass(value) and issubclass(value, eqx.Module)}
+    return {name: value for name, value in parts.items() if not issubclass(value, AbstractOperator)}
+
+
+def api(module: str, names: dict[str, Any]) -> str:
+    """The docstrings of these names of a module, for autodoc; those of constants are looked up in the source."""
+    lines = ["```{eval-rst}", f".. currentmodule:: {module}", ""]
+    for name, value in sorted(names.items(), key=lambda item: item[0].lower()):
+        if inspect.isclass(value):
+            call = ["   :special-members: __call__"] if inspect.isabstract(value) else []  # what a model must do
+            lines += [f".. autoclass:: {name}", "   :members:", "   :show-inheritance:", *call, ""]
+        elif callable(value):
+            lines += [f".. autofunction:: {name}", ""]
+        else:
+            text = constant_docstring(name).splitlines()
+            marked_up(text)
+            lines += [f".. py:data:: {name}", "", *(f"   {line}" for line in text), ""]
+    return "\n".join([*lines, "```"])
+
+
+@functools.cache
+def constant_docstring(name: str) -> str:
+    """The text below the assignment of a constant in the package; empty if there is none."""
+    for path in sorted((ROOT / "jaxmps").rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        for first, second in itertools.pairwise(ast.parse(text).body) if name in text else ():
+            targets = first.targets if isinstance(first, ast.Assign) else [getattr(first, "target", None)]
+            assigned = any(isinstance(target, ast.Name) and target.id == name for target in targets)
+            if assigned and isinstance(second, ast.Expr) and isinstance(second.value, ast.Constant):
+                return inspect.cleandoc(str(second.value.value))
+    return ""
+
+
+def status() -> str:
+    """What each bit of a status means, and what to try."""
+    from jaxmps.status import ADVICE, FATAL, MESSAGES
+
+    rows = [f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {ADVICE[bit]} |" for bit in MESSAGES]
+    return "\n".join(["| bit | meaning | ends the run | advice |", "|---|---|---|---|", *rows])
+
+
+def commands() -> str:
+    """Help, arguments and options of each command, from the command line itself."""
+    from jaxmps.cli import app
+
+    command = typer.main.get_command(app)
+    context = command.make_context("jaxmps", ["--help"], resilient_parsing=True)
+    parts = []
+    for name in command.list_commands(context):  # type: ignore[attr-defined]
+        one = command.get_command(context, name)  # type: ignore[attr-defined]
+        inner = typer.Context(one, info_name=name, parent=context)
+        parts += [f"## jaxmps {name}", one.help or "", "```console", f"$ {one.get_usage(inner)[7:]}", "```"]
+        rows = [record for option in one.get_params(inner) if (record := option.get_help_record(inner)) is not None]
+        parts += ["| | |", "|---|---|", *(f"| `{left}` | {_cell(right)} |" for left, right in rows), ""]
+    return "\n".join(parts)
+
+
+def _cell(text: str) -> str:
+    return re.sub(r"([|\[\]<>_*])", r"\\\1", text)
+
+
+def marked_up(lines: list[str]) -> None:
+    """A docstring, changed in place: signs that mean something to Sphinx are text, indented formulas keep their form.
+
+    `name` in backticks is a link where there is such a name, and code else.
+    """
+    blocks = re.split(r"\n{2,}", "\n".join(lines).strip())
+    done = []
+    for block in blocks:
+        if block.startswith("    "):
+            done.append("::\n\n" + block)
+        else:
+            parts = re.split(r"(`[^`]+`)", block)
+            done.append("".join(_escaped(part, parts[k + 1 : k + 2]) for k, part in enumerate(parts)))
+    lines[:] = [*"\n\n".join(done).splitlines(), ""]
+
+
+def _escaped(part: str, after: list[str]) -> str:
+    if not part.startswith("`"):
+        return re.sub(r"([*|\\_])", r"\\\1", part)
+    code = " ".join(part[1:-1].split())
+    text = f"`{code} <{_links()[code]}>`" if code in _links() else f"``{code}``"
+    return text + "\\ " * bool(after and re.match(r"\w", after[0]))
+
+
+@functools.cache
+def _links() -> dict[str, str]:
+    """The full names of what a docstring may mean by a name: one word in lower case is more often an argument."""
+    names = {name: f"{module}.{name}" for module in reversed(MODULES) for name in public(module)}
+    return {name: full for name, full in names.items() if "_" in name or name[0].isupper()}
+
+
+def shortened(*signature: str | None) -> tuple[str | None, ...]:
+    """Arguments and result without the private modules of types; a default that is made anew is an ellipsis."""
+    short = (text and re.sub(r"~?\bjaxlib\._jax\.|~(\w+\.)+", "", text) for text in signature)
+    return tuple(text and text.replace("<factory>", "...") for text in short)
+
+
+def is_foreign(member: Any) -> bool:
+    """Whether a member has no docstring of ours: a field of a named tuple, a setting of pydantic."""
+    return type(member).__name__ == "_tuplegetter" or isinstance(member, dict)
