@@ -89,7 +89,7 @@ def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     assert float(capsys.readouterr().out) != 0.0
     assert (tmp_path / "dam.vtkhdf").exists()
     assert len(names["history"].loss) == 2 and (tmp_path / "tuning").exists()
-    assert len(names["many"]) == 2 and mps.read(tmp_path / "long.vtkhdf").status.completed
+    assert len(names["many"]) == 2 and names["mps"].read(tmp_path / "long.vtkhdf").status.completed
 
 
 def test_the_standing_wave_example_fits_its_wave_and_closes_its_budget(tmp_path, monkeypatch, capsys):
