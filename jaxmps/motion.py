@@ -66,7 +66,8 @@ class Table(AbstractSignal):
         rise = jnp.diff(x) / length
         inner = (length[1:] * rise[:-1] + length[:-1] * rise[1:]) / (length[1:] + length[:-1])
         slope = jnp.concatenate([2.0 * rise[:1] - inner[:1], inner, 2.0 * rise[-1:] - inner[-1:]])
-        now = jnp.clip(time, t[0], t[-1])
+        # Not `clip`, which would halve the velocity at the first time.
+        now = jnp.where((time >= t[0]) & (time < t[-1]), time, jnp.where(time < t[0], t[0], t[-1]))
         k = jnp.clip(jnp.searchsorted(t, now, side="right") - 1, 0, t.size - 2)
         h = length[k]
         s = (now - t[k]) / h
