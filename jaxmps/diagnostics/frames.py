@@ -6,16 +6,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmps.motion import Rigid
+from jaxmps.motion import AbstractMotion, Rigid, Still
 from jaxmps.run import Run
 
 
-def relative(run: Run, motion: Rigid) -> Run:
+def relative(run: Run, motion: AbstractMotion) -> Run:
     """The run in the frame of a rigidly moving tank: its walls stand where they stood at t = 0, and velocities are
     relative to them. Probes, gauges and pictures then see the tank as an instrument on it does.
 
-    Energies and metadata stay those of the frame at rest.
+    Energies and metadata stay those of the frame at rest. Raises `ValueError` for a motion of several bodies: take that
+    of one of them.
     """
+    if isinstance(motion, Still):
+        return run
+    if not isinstance(motion, Rigid):
+        raise ValueError(f"motion must be that of one rigid body, got {type(motion).__name__}")
 
     def at_rest(position, velocity, time):
         turn, shift = motion.pose(time)
