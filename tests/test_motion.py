@@ -211,3 +211,37 @@ def test_a_small_sway_moves_the_center_of_mass_as_linear_theory_says():
     assert np.abs(expected).max() > 0.01
     # Here are ten rows of particles, and the wave at the walls is one spacing high.
     np.testing.assert_allclose(center, expected, atol=0.15 * np.abs(expected).max())
+
+
+def test_a_case_file_moves_its_walls(tmp_path):
+    text = """
+    [case]
+    spacing = 0.05
+    gravity = [0.0, -9.81]
+    lower = [-1.0, -1.0]
+    upper = [2.0, 2.0]
+    [[fluid]]
+    density = 1000.0
+    [[fluid.body]]
+    box = [[0.0, 0.0], [0.5, 0.2]]
+    [[wall]]
+    box = [[0.0, 0.0], [0.5, 0.4]]
+    side = "outside"
+    open = ["+y"]
+    [motion]
+    center = [0.25, 0.0]
+    roll = { amplitude = 0.1, period = 2.0 }
+    heave = { times = [0.0, 0.5, 1.0], values = [0.0, 0.1, 0.4] }
+    """
+    path = tmp_path / "tank.toml"
+    path.write_text(text)
+    motion = mps.casefile.read(path).case.motion
+    # A quarter of the period: the full angle; of the table the parabola 0.4 t².
+    place = np.asarray(motion.place(jnp.array([[0.5, 0.0]]), jnp.asarray(0.5)))[0]
+    np.testing.assert_allclose(place, [0.25 + 0.25 * math.cos(0.1), 0.25 * math.sin(0.1) + 0.1], atol=1e-12)
+    path.write_text(text.replace("amplitude = 0.1, ", ""))
+    with pytest.raises(ValueError, match=r"\[motion\]: roll must have amplitude and period, or times and values"):
+        mps.casefile.read(path)
+    path.write_text(text.replace("0.5, 1.0]", "1.0, 0.5]"))
+    with pytest.raises(ValueError, match=r"\[motion\]: times of a table must increase"):
+        mps.casefile.read(path)
