@@ -142,3 +142,15 @@ def test_the_growth_example_shows_growth_and_what_windows_do(tmp_path, capsys):
     assert wave["whole"][1] > 3.0 * wave["windows"][1] > 0.0
     assert "size of the derivative after" in capsys.readouterr().out
     assert (tmp_path / "growth.png").stat().st_size > 10_000
+
+
+def test_the_sloshing_example_follows_linear_theory_and_swings_at_the_first_mode(tmp_path, monkeypatch, capsys):
+    example = load("sloshing")
+    monkeypatch.setattr(example, "RATIOS", (0.8,))
+    monkeypatch.setattr(example, "TILT", 6.0)
+    waves, (pace, _) = example.main(spacing=0.03, until=1.4, rolling=0.03, out=str(tmp_path))
+    # Ten rows of particles: the bars of full size are 10 and 5 %.
+    assert waves[0.8].amplitude == pytest.approx(1.0, abs=0.2) and waves[0.8].frequency == pytest.approx(1.0, abs=0.05)
+    assert pace == pytest.approx(1.0, abs=0.05)
+    assert "up to" in capsys.readouterr().out
+    assert (tmp_path / "sloshing.png").stat().st_size > 10_000
