@@ -55,7 +55,7 @@ def run(
         result = simulation.simulate(
             setup.case, setup.scheme, **setup.times, key=key, out=file, overwrite=force, on_blowup=on_blowup
         )
-    return conclude(result, paths, setup.probes)
+    return conclude(result, paths, setup.probes, setup.case.motion)
 
 
 def check(
