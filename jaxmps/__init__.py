@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from jaxmps import cases as cases
     from jaxmps import diagnostics as diagnostics
     from jaxmps import io as io
+    from jaxmps import motion as motion
     from jaxmps import operators as operators
     from jaxmps import plotting as plotting
     from jaxmps import schemes as schemes
@@ -46,7 +47,7 @@ __version__ = "0.1.0"
 # The same names, imported at their first use: `jaxmps --help` does not wait for JAX.
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
-    submodules=("casefile", "cases", "diagnostics", "io", "operators", "plotting", "schemes"),
+    submodules=("casefile", "cases", "diagnostics", "io", "motion", "operators", "plotting", "schemes"),
     submod_attrs={
         "box": ["Box"],
         "case": ["Case"],

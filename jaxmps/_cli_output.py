@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jaxmps.diagnostics import Probe
+    from jaxmps.motion import AbstractMotion
     from jaxmps.run import Run
 
 WRONG_INPUT, FAILED, INTERRUPTED = 2, 1, 130
@@ -87,8 +88,16 @@ def frames_of(text: str, count: int) -> list[int]:
     return [frame % count]
 
 
-def conclude(result: "Run", paths: Mapping[str, Path], instruments: "Sequence[Probe]" = ()) -> int:
-    """Writes summary, picture and readings of a run, prints how it went, and gives the exit code."""
+def conclude(
+    result: "Run",
+    paths: Mapping[str, Path],
+    instruments: "Sequence[Probe]" = (),
+    motion: "AbstractMotion | None" = None,
+) -> int:
+    """Writes summary, picture and readings of a run, prints how it went, and gives the exit code.
+
+    Instruments go with the walls if these have a `motion`.
+    """
     from jaxmps import plotting
     from jaxmps.io import replace_file
 
@@ -100,9 +109,10 @@ def conclude(result: "Run", paths: Mapping[str, Path], instruments: "Sequence[Pr
     replace_file(paths["summary.json"], f"{text}\n".encode())
     replace_file(paths["final.png"], picture.getbuffer())
     if instruments:
-        from jaxmps.diagnostics import probes
+        from jaxmps.diagnostics import probes, relative
 
-        _write_columns(paths["probes.csv"], probes(result, instruments))
+        seen = result if motion is None else relative(result, motion)
+        _write_columns(paths["probes.csv"], probes(seen, instruments))
     print_table("result", {key: _with_unit(key, value) for key, value in summary.items()})
     for name, path in paths.items():
         if name != "failure.png":

@@ -51,7 +51,7 @@ def begin(words: dict[str, Any], folder: Path, checkpoint_every: float | None, o
             on_blowup=on_blowup,
             checkpoint_every=checkpoint_every,
         )
-    return conclude(result, paths, setup.probes)
+    return conclude(result, paths, setup.probes, setup.case.motion)
 
 
 def carry_on(folder: Path) -> int:
@@ -79,7 +79,7 @@ def carry_on(folder: Path) -> int:
             say("warning", str(warning.message))
     if setup.probes:
         paths[PROBES] = folder / PROBES
-    return conclude(result, paths, setup.probes)
+    return conclude(result, paths, setup.probes, setup.case.motion)
 
 
 def _without_checkpoint(folder: Path, paths: dict[str, Path]) -> int:

@@ -4,18 +4,21 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxmps._types import as_array
 from jaxmps.box import Box
+from jaxmps.motion import AbstractMotion, Still
 from jaxmps.particles import Fluid, Kind, Particles
 from jaxmps.validation import positive
 
 
 class Case(eqx.Module):
-    """Particles at t = 0, materials, gravity [m/s²], spacing l0 [m] and domain.
+    """Particles at t = 0, materials, gravity [m/s²], spacing l0 [m], domain and `motion` of the walls.
 
     `name` and `parameters` only describe the case in files and figures. Made by the functions in `jaxmps.cases`, or
     by hand from arrays; the arrays are checked, and `ValueError` names what is wrong with them.
@@ -28,6 +31,7 @@ class Case(eqx.Module):
     box: Box
     name: str = eqx.field(static=True, default="custom")
     parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+    motion: AbstractMotion = eqx.field(default_factory=Still)
 
     def __check_init__(self):
         positive("spacing", self.spacing, "m")
@@ -44,6 +48,7 @@ class Case(eqx.Module):
                 "fluids.density and fluids.viscosity must have one entry for each phase, got "
                 f"{self.fluids.density.shape} and {self.fluids.viscosity.shape}"
             )
+        jax.eval_shape(self.motion.place, particles.position, jnp.zeros(()))
         _check_values(self)
 
     def undescribed(self) -> "Case":

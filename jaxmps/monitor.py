@@ -22,6 +22,7 @@ BITS = (
     Status.TABLE_FULL,
     Status.NOT_CONVERGED,
     Status.ESCAPED,
+    Status.WALL_OUTSIDE,
 )
 """The status bits that a step can raise, in the order of `StepInfo.culprit`."""
 
@@ -67,7 +68,8 @@ def inspect(
     squared_travel = jnp.sum((new.position - old.position) ** 2, axis=-1) / case.spacing**2
     squared_speed = jnp.sum(new.velocity**2, axis=-1)
     finite = jnp.isfinite(squared_travel) & jnp.isfinite(squared_speed) & jnp.isfinite(new.pressure)
-    gone = new.fluid & finite & ~case.box.contains(new.position)
+    outside = finite & (new.kind != Kind.REMOVED) & ~case.box.contains(new.position)
+    gone, astray = outside & new.fluid, outside & ~new.fluid
     kept = Particles(
         position=case.box.wrap(new.position),
         velocity=jnp.where(gone[:, None], 0.0, new.velocity),
@@ -83,12 +85,13 @@ def inspect(
             overflow,
             ~convergence.converged,
             jnp.any(gone),
+            jnp.any(astray),
         ]
     )
     # With pairs missing, nothing else that the step shows means anything: it has to be repeated.
     raised = jnp.where(overflow, jnp.array([bit == Status.TABLE_FULL for bit in BITS]), raised)
     nobody = jnp.array(-1)
-    culprit = jnp.stack([jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone)])
+    culprit = jnp.stack([jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone), jnp.argmax(astray)])
     info = StepInfo(
         status=jnp.sum(jnp.where(raised, jnp.array([int(bit) for bit in BITS]), 0)),
         culprit=culprit,
@@ -149,7 +152,7 @@ def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Parti
     raised = jnp.stack([((status & int(bit)) != 0) & (accepted | (bit != Status.ESCAPED)) for bit in BITS])
     first = raised & (log.count == 0)
     amount = jnp.where(jnp.array([bit == Status.ESCAPED for bit in BITS]), info.escaped, 1)
-    value = jnp.stack([none, info.travel, none, info.residual, none])
+    value = jnp.stack([none, info.travel, none, info.residual, none, none])
     return Log(
         steps=log.steps + accepted,
         residual=log.residual + jnp.where(accepted, info.residual, 0.0),

@@ -12,8 +12,9 @@ from jaxmps._types import as_array
 class Kind(enum.IntEnum):
     """What a particle is.
 
-    FLUID moves. WALL is fixed and has a pressure. DUMMY is fixed and counts in the number density only: it completes
-    the neighborhood of the wall. REMOVED left the domain and takes part in nothing any more.
+    FLUID moves with the flow. WALL is fixed, or moves as prescribed, and has a pressure. DUMMY goes with the walls and
+    counts in the number density only: it completes the neighborhood of the wall. REMOVED left the domain and takes
+    part in nothing any more.
     """
 
     FLUID = 0

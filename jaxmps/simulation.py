@@ -48,13 +48,14 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
         capacity = usual_capacity(scheme.ratio + skin, case.dim)
     radius = scheme.ratio * case.spacing
     neighbors = allocate(case.particles.position, case.box, radius, skin * case.spacing, capacity)
+    time = jnp.zeros_like(case.particles.pressure[0])
     n, surface = _first_look(case.undescribed(), scheme, neighbors)
     return State(
-        particles=case.particles,
+        particles=case.motion.drive(case.particles, case.particles.position, time),
         neighbors=neighbors,
         number_density=n,
         surface=surface,
-        time=jnp.zeros_like(case.particles.pressure[0]),
+        time=time,
         step=jnp.zeros((), jnp.int32),
         loss=jnp.zeros_like(case.particles.pressure[0]),
     )

@@ -18,9 +18,12 @@ class Status(enum.IntFlag):
     CLUSTERED = 64
     TIME_STEP_COLLAPSED = 128
     HALVED = 256
+    WALL_OUTSIDE = 512
 
 
-FATAL = Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED | Status.TIME_STEP_COLLAPSED
+FATAL = (
+    Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED | Status.TIME_STEP_COLLAPSED | Status.WALL_OUTSIDE
+)
 
 MESSAGES = {
     Status.NOT_FINITE: "position, velocity or pressure is no longer finite",
@@ -32,6 +35,7 @@ MESSAGES = {
     Status.TIME_STEP_COLLAPSED: "the time step has collapsed: a particle is so fast that the run would never end",
     Status.CLUSTERED: "particles have collapsed into clusters: the neighbor table would have to grow without bound",
     Status.HALVED: "the run blew up and went on from its last frame with half the time step",
+    Status.WALL_OUTSIDE: "a moving wall has left the domain",
 }
 
 ADVICE = {
@@ -50,6 +54,7 @@ ADVICE = {
     Status.CLUSTERED: "try a scheme with a stabilizer or collisions, or a smaller time step; look for particles that "
     "overlap at t = 0",
     Status.HALVED: "a smaller dt or time_step.courant from the start would not lose these frames' time",
+    Status.WALL_OUTSIDE: "give the case a larger box, or its walls a smaller motion",
 }
 """What to try, for each cause."""
 

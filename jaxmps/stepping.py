@@ -15,7 +15,7 @@ from jaxmps.monitor import StepInfo, inspect
 from jaxmps.neighbors import Neighbors, pairs, update
 from jaxmps.operators import density_rate, divergence, number_density, pair_weight
 from jaxmps.pairs import Pairs
-from jaxmps.particles import Particles
+from jaxmps.particles import Kind, Particles
 from jaxmps.pressure import Compression, PressureEquation, poisson_operator, solve_pressure
 from jaxmps.scheme import Scheme
 
@@ -59,7 +59,7 @@ def step(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, "
 
 
 def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array, ""]) -> Prediction:
-    """Explicit: viscosity, gravity, noise and collisions give u* and r*, these n*, the surface and the source."""
+    """Explicit: viscosity, gravity, noise and collisions give u*, r*, then walls move; these n*, surface and source."""
     old, spacing = state.particles, case.spacing
     radius = scheme.ratio * spacing
     n0, lam = lattice(scheme.ratio, case.dim)[:2]
@@ -78,12 +78,13 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     u = u + scheme.collision(u, near, case.distinct_density, old.fluid, spacing, dt)
     position, u = case.box.reflect(old.position + dt * u, u)
     predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (position, u))
+    predicted = case.motion.drive(predicted, case.particles.position, state.time + dt)
 
     neighbors = update(neighbors, predicted.position)
     near = pairs(neighbors, predicted, spacing)
     w = pair_weight(near, radius)
     n, surface = density_and_surface(case, scheme, old, near, w)
-    source = scheme.source(compression(u, near, w, radius, n0), current, n0, dt)
+    source = scheme.source(compression(predicted.velocity, near, w, radius, n0), current, n0, dt)
     return Prediction(predicted, neighbors, near, w, n, surface, source, given)
 
 
@@ -150,9 +151,9 @@ def compression(
 
 
 def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:
-    """Δt [s] that the scheme allows at the present velocities; infinite at rest without gravity."""
+    """Δt [s] that the scheme allows at the present velocities, of walls too; infinite at rest without gravity."""
     squared_speed = jnp.sum(particles.velocity**2, axis=-1)
-    fastest = jnp.max(jnp.where(particles.fluid, squared_speed, 0.0))
+    fastest = jnp.max(jnp.where(particles.kind != Kind.REMOVED, squared_speed, 0.0))
     rule, spacing = scheme.time_step, case.spacing
     courant = _over_root(rule.courant * spacing, fastest)
     falling = _over_root(rule.gravity_limit * spacing**0.5, jnp.sqrt(positive_or_one(jnp.sum(case.gravity**2))))

@@ -35,7 +35,7 @@ class Inviscid(AbstractViscosity):
 
 class Viscous(AbstractViscosity):
     """ν ∇²u with the Laplacian of [N11] Eq. 7, for two phases with the mean of both viscosities, so that equal masses
-    exchange momentum without loss. Walls and dummies are at rest: no slip.
+    exchange momentum without loss. Walls and dummies have their own velocity: no slip.
 
     Explicit: stable for Δt below about l0² / (2 D ν) only.
     """

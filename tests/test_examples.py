@@ -79,7 +79,13 @@ def test_the_grain_examples_move_the_grains_the_right_way(name, upward, tmp_path
 def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     text = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
     small = {"spacing=0.02": "spacing=0.1", "until=1.0": "until=0.1", "steps=100": "steps=10", ":1250": ":50"}
-    small |= {"steps=200": "steps=10", "steps=30": "steps=2", "key(0), 64": "key(0), 2", "until=4.0": "until=0.1"}
+    small |= {
+        "steps=200": "steps=10",
+        "steps=30": "steps=2",
+        "key(0), 64": "key(0), 2",
+        "until=4.0": "until=0.1",
+        "until=3.2": "until=0.02",
+    }
     for full, little in small.items():
         assert full in text
         text = text.replace(full, little)
@@ -143,3 +149,15 @@ def test_the_growth_example_shows_growth_and_what_windows_do(tmp_path, capsys):
     assert wave["whole"][1] > 3.0 * wave["windows"][1] > 0.0
     assert "size of the derivative after" in capsys.readouterr().out
     assert (tmp_path / "growth.png").stat().st_size > 10_000
+
+
+def test_the_sloshing_example_follows_linear_theory_and_swings_at_the_first_mode(tmp_path, monkeypatch, capsys):
+    example = load("sloshing")
+    monkeypatch.setattr(example, "RATIOS", (0.8,))
+    monkeypatch.setattr(example, "TILT", 6.0)
+    waves, (pace, _) = example.main(spacing=0.03, until=1.4, rolling=0.03, out=str(tmp_path))
+    # Ten rows of particles: the bars of full size are 10 and 5 %.
+    assert waves[0.8].amplitude == pytest.approx(1.0, abs=0.2) and waves[0.8].frequency == pytest.approx(1.0, abs=0.05)
+    assert pace == pytest.approx(1.0, abs=0.05)
+    assert "up to" in capsys.readouterr().out
+    assert (tmp_path / "sloshing.png").stat().st_size > 10_000

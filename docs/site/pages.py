@@ -29,6 +29,7 @@ MODULES = (
     "jaxmps.plotting",
     "jaxmps.io",
     "jaxmps.casefile",
+    "jaxmps.motion",
 )
 """The public modules."""
 

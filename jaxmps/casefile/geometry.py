@@ -13,7 +13,8 @@ from jaxmps.box import Box
 from jaxmps.case import Case
 from jaxmps.casefile import plane, solid
 from jaxmps.casefile.models import Body, OwnFile, Shape, Wall
-from jaxmps.casefile.parsing import CaseFileError
+from jaxmps.casefile.motion import motion
+from jaxmps.casefile.parsing import CaseFileError, attributed
 from jaxmps.cases.lattice import dummy_layers, materials
 from jaxmps.particles import Kind, at_rest
 
@@ -72,6 +73,7 @@ def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None)
         spacing=spacing,
         box=box,
         name=file.case.name or path.stem,
+        motion=attributed(path, "[motion]", lambda: motion(file.motion, dim)),
     )
     return case, layout
 
@@ -124,6 +126,7 @@ def _checked(file: OwnFile, path: Path, dim: int) -> _Shapes:
         return None
 
     vectors("[case]", lower=file.case.lower, upper=file.case.upper)
+    vectors("[motion]", center=file.motion.center if file.motion else None)
     sides = "xyz"[:dim]
     faults += [
         f"[case]: periodic must be among {', '.join(sides)} in {dim}-D, got {axis}"

@@ -101,6 +101,39 @@ class Wall(Shape):
         return self
 
 
+class SignalTable(Table):
+    """A sine by `amplitude`, `period` [s] and `phase` [rad], or `values` at `times` [s]; in m, of an angle in rad."""
+
+    amplitude: float | None = None
+    period: Length | None = None
+    phase: float = 0.0
+    times: Annotated[list[float], Field(min_length=3)] | None = None
+    values: Annotated[list[float], Field(min_length=3)] | None = None
+
+    @model_validator(mode="after")
+    def _one_signal(self):
+        sine = (self.amplitude is not None, self.period is not None)
+        table = (self.times is not None, self.values is not None)
+        if sorted([sine, table]) != [(False, False), (True, True)]:
+            raise ValueError("must have amplitude and period, or times and values")
+        return self
+
+
+class MotionTable(Table):
+    """`[motion]`: all walls move as one body, see `jaxmps.motion.Rigid`; `roll` is about `center` [m]."""
+
+    center: Vector | None = None
+    sway: SignalTable | None = None
+    heave: SignalTable | None = None
+    roll: SignalTable | None = None
+
+    @model_validator(mode="after")
+    def _about(self):
+        if self.roll is not None and self.center is None:
+            raise ValueError("center must be given with roll")
+        return self
+
+
 class PressureProbe(Table):
     """Pressure [Pa] at a point [m]."""
 
@@ -178,6 +211,7 @@ class OwnFile(Table):
     case: OwnCase
     fluid: Annotated[list[FluidTable], Field(min_length=1)]
     wall: list[Wall] = []
+    motion: MotionTable | None = None
     probe: list[ProbeTable] = []
     scheme: SchemeTable = SchemeTable()
     run: RunTable = RunTable()

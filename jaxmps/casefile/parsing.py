@@ -95,12 +95,16 @@ def _walk(data: Any, location: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
 def _place(path: tuple[Any, ...]) -> tuple[str, str]:
     """The table, such as `[[fluid]] 1, [[fluid.body]] 2`, and the key in it, of a path."""
     names, tables, rest = "", [], list(path)
-    while rest and rest[0] in ("case", "fluid", "body", "wall", "probe", "scheme", "run") and len(names.split(".")) < 3:
+    while (
+        rest
+        and rest[0] in ("case", "fluid", "body", "wall", "motion", "probe", "scheme", "run")
+        and len(names.split(".")) < 3
+    ):
         names = f"{names}.{rest.pop(0)}".lstrip(".")
         if rest and isinstance(rest[0], int):
             tables.append(f"[[{names}]] {rest.pop(0) + 1}")
         else:
-            tables.append(f"[{names}]" if names in ("case", "scheme", "run") else f"[[{names}]]")
+            tables.append(f"[{names}]" if names in ("case", "motion", "scheme", "run") else f"[[{names}]]")
     key = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in rest).lstrip(".")
     return ", ".join(tables), key
 

@@ -5,6 +5,9 @@ from jaxmps.cases.dam_break import dam_break_3d as dam_break_3d
 from jaxmps.cases.hydrostatic import hydrostatic as hydrostatic
 from jaxmps.cases.hydrostatic import hydrostatic_pressure as hydrostatic_pressure
 from jaxmps.cases.lattice import jitter as jitter
+from jaxmps.cases.sloshing import sloshing as sloshing
+from jaxmps.cases.sloshing import sloshing_frequency as sloshing_frequency
+from jaxmps.cases.sloshing import sloshing_linear as sloshing_linear
 from jaxmps.cases.square_patch import SQUARE_PATCH_REFERENCE as SQUARE_PATCH_REFERENCE
 from jaxmps.cases.square_patch import square_patch as square_patch
 from jaxmps.cases.square_patch import square_patch_pressure as square_patch_pressure

@@ -1,5 +1,6 @@
 """Quantities that are measured on a flow."""
 
+from jaxmps.diagnostics.frames import relative as relative
 from jaxmps.diagnostics.layers import deep_surface as deep_surface
 from jaxmps.diagnostics.layers import mean_height as mean_height
 from jaxmps.diagnostics.layers import speed as speed
