@@ -1,6 +1,6 @@
 """The standing wave of Naa, Omata & Kazama 2011, §5.2: their Figs. 9, 10 and 11, and what other schemes make of it.
 
-python examples/standing_wave.py [--out DIR] [--seeds N] [--reuse] [--small]
+python examples/standing_wave.py [--out DIR] [--seeds N] [--spacing L0] [--names NAME ...] [--reuse] [--small]
 
 Standard MPS and stochastic MPS with α = 0.02, 0.03, 0.04, published and free of drift, the same with the antisymmetric
 gradient of CMPS, which has no drift of its own, and MPS-HS-GC-DS and MPS-CD-GC-DS with and without the stochastic
@@ -240,10 +240,19 @@ if __name__ == "__main__":
     parser.add_argument("--out", default="out/standing_wave")
     parser.add_argument("--floor", default="mirror", choices=("mirror", "wall"))
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--spacing", type=float, default=0.02, help="m")
+    parser.add_argument("--names", nargs="+", help="some of the schemes only, such as CD-GC-DS")
     parser.add_argument("--reuse", action="store_true")
     parser.add_argument("--small", action="store_true")
     arguments = parser.parse_args()
     if arguments.small:
         small_wave()
     else:
-        main(floor=arguments.floor, out=arguments.out, seeds=range(arguments.seeds), reuse=arguments.reuse)
+        main(
+            spacing=arguments.spacing,
+            seeds=range(arguments.seeds),
+            names=arguments.names,
+            floor=arguments.floor,
+            out=arguments.out,
+            reuse=arguments.reuse,
+        )
