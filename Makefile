@@ -2,11 +2,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: help demo test lint format bench docs clean
+.PHONY: help demo test test-all lint format bench docs clean
 
 help:
 	@echo "make demo    run a dam break and animate it"
 	@echo "make test    format check, lint, types, layers, tests"
+	@echo "make test-all  tests and those that take long and show more of the same"
 	@echo "make lint    all of these but the tests"
 	@echo "make format  format the code"
 	@echo "make bench   run the benchmarks"
@@ -48,6 +49,9 @@ lint: .venv/.installed-test
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+test-all: lint
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m ""
 
 format: .venv/.installed-test
 	$(BIN)/ruff format .

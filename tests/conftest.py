@@ -25,6 +25,32 @@ import pytest
 
 jaxtyping.install_import_hook("jaxmps", "beartype.beartype")
 
+SLOW = (
+    "test_the_benchmark_writes_its_table",
+    "test_crests_keep_time[mps_hs_gc_ds]",
+    "test_the_sloshing_example_follows_linear_theory",
+    "test_the_recovery_example_finds_both_velocities",
+    "test_single_precision_gives_the_derivatives_of_double[mps-single]",
+    "test_single_precision_gives_the_derivatives_of_double[mps_hs_gc-single]",
+    "test_single_precision_gives_the_derivatives_of_double[cmps_hs-single]",
+    "test_gradients.py::test_single_precision_gives_the_derivatives_of_double",
+    "test_a_run_that_was_killed_becomes_the_one_that_was_not[stochastic-single]",
+    "test_a_run_that_was_killed_becomes_the_one_that_was_not[stabilized-double]",
+    "test_two_fluids_of_one_density_flow_as_one[mps_hs_gc_ds]",
+    "test_memory_grows_with_the_root_of_the_steps",
+    "test_rollouts_with_multigrid_and_with_jacobi_agree",
+    "test_preconditioned_solutions.py::test_solution_is_that_of_a_direct_solve",
+    "test_single_and_double_precision_agree_on_the_front",
+    "test_layers_stay_at_rest[mps_cd_gc_ds]",
+)
+"""Tests that take long and show, at other values, what shorter ones show: `make test-all` runs them, too."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if any(name in item.nodeid for name in SLOW):
+            item.add_marker(pytest.mark.slow)
+
 
 @pytest.fixture(autouse=True, scope="session")
 def in_a_hurry() -> None:

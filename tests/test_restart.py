@@ -297,6 +297,6 @@ def test_a_full_disk_is_one_error_and_the_checkpoint_before_is_intact(copy, half
 def test_processes_killed_at_random_instants_lose_nothing(tmp_path, monkeypatch):
     options = shlex.split("dam_break --spacing 0.1 --until 0.4 --save-every 0.01 --checkpoint-every 0.01")
     monkeypatch.setattr(kills, "STEPPING", 0.2)
-    counts = kills.harass(tmp_path, 3, seed=0, options=options)
-    assert (counts["killed"], counts["resumed"], counts["compared"]) == (3, 3, 1)
+    counts = kills.harass(tmp_path, 1, seed=0, options=options)
+    assert (counts["killed"], counts["resumed"], counts["compared"]) == (1, 1, 1)
     assert json.loads((tmp_path / "alone" / "summary.json").read_text())["completed"]
