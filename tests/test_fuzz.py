@@ -1,9 +1,10 @@
-"""Random command lines; `python -m benchmarks.fuzz --examples 2000` tries many more of them."""
+"""Random command lines and case files; `python -m benchmarks.fuzz` and `benchmarks.fuzz_files` try many more."""
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 
 from benchmarks.fuzz import Harness, command_lines
+from benchmarks.fuzz_files import Reader, case_files
 
 
 @pytest.fixture(scope="module")
@@ -37,3 +38,17 @@ def test_the_harness_sees_a_traceback_a_hidden_fault_and_a_result_that_is_no_num
         assert words in (harness.fault(line) or "")
     monkeypatch.undo()
     assert "there is no run" in (harness._fault_of_run(0) or "")
+
+
+def test_any_case_file_makes_a_case_or_is_refused_with_a_line_for_each_fault(tmp_path):
+    reader = Reader(tmp_path, runs=1)
+
+    @settings(
+        max_examples=25, deadline=None, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    )
+    @given(case_files(("tank", "dam_break")))
+    def check(text):
+        assert reader.fault(text) is None
+
+    check()
+    assert {"made", "refused"} <= set(reader.ends), reader.ends
