@@ -290,3 +290,10 @@ def test_jitter_refuses_amplitudes_out_of_its_range(unchecked, amplitude):
 def test_cases_are_at_hand_in_the_package():
     assert jaxmps.cases.dam_break is cases.dam_break is dam_break
     assert isinstance(dam_break(spacing=0.1).particles, Particles)
+
+
+@pytest.mark.parametrize("spacing", [1e-5, 1e-12, 1e-308])
+def test_a_spacing_that_leaves_more_particles_than_can_be_is_refused(spacing):
+    for case in (cases.hydrostatic, cases.dam_break, cases.standing_wave, cases.square_patch):
+        with pytest.raises(ValueError, match="spacing must leave at most"):
+            case(spacing=spacing)

@@ -29,16 +29,20 @@ def dummy_layers(ratio: float) -> int:
 
 
 def cells(length: float, spacing: float) -> int:
-    """Whole number of spacings that comes closest to a length."""
+    """Whole number of spacings that comes closest to a length; `ValueError` for more than can be."""
+    _few(length / spacing)
     return round(length / spacing)
 
 
 def lattice_points(*ranges: range) -> np.ndarray:
     """Integer points `(n, d)` of a lattice with these ranges along its axes, the last axis first to vary."""
-    total = math.prod(len(r) for r in ranges)
-    if total > _MOST_POINTS:
-        raise ValueError(f"spacing must leave at most {_MOST_POINTS:.0e} lattice points, got {total:.1e}")
+    _few(math.prod(float(max(r.stop - r.start, 0)) for r in ranges))  # a range of enormous length has no len
     return np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
+
+
+def _few(points: float) -> None:
+    if points > _MOST_POINTS:
+        raise ValueError(f"spacing must leave at most {_MOST_POINTS:.0e} lattice points, got {points:.1e}")
 
 
 def materials(density: Mapping[str, float], viscosity: Mapping[str, float]) -> Fluid:
