@@ -14,8 +14,7 @@ from jaxtyping import Array, Float
 import jaxmps as mps
 from benchmarks.states import Flow
 from benchmarks.timing import compiled
-from jaxmps.linear import Convergence
-from jaxmps.pressure import PoissonOperator, solve_pressure
+from jaxmps.pressure import Convergence, PoissonOperator, solve_pressure
 from jaxmps.stepping import Prediction, largest_step, predict, pressure_equation
 
 MOST_ITERATIONS = 20_000

@@ -28,10 +28,10 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from jaxmps import simulation
-from jaxmps._cli_values import arguments, case_factories, scheme_factories, values_of
+from jaxmps import running
+from jaxmps.casefile.arguments import arguments, case_factories, scheme_factories, values_of
 from jaxmps.cases import lattice
-from jaxmps.cli import main
+from jaxmps.command_line import main
 from jaxmps.io import read
 
 MOST_PARTICLES, SECONDS = 400, 60.0
@@ -172,7 +172,7 @@ class Harness:
 
     @contextlib.contextmanager
     def _limits(self) -> Iterator[None]:
-        simulate, most, x64 = simulation.simulate, lattice._MOST_POINTS, jax.config.read("jax_enable_x64")
+        simulate, most, x64 = running.simulate, lattice._MOST_POINTS, jax.config.read("jax_enable_x64")
         here = Path.cwd()
 
         def small(case: Any, scheme: Any, **times: Any) -> Any:
@@ -190,14 +190,14 @@ class Harness:
 
         usual = signal.signal(signal.SIGALRM, interrupt)
         signal.setitimer(signal.ITIMER_REAL, SECONDS)
-        simulation.simulate, lattice._MOST_POINTS = small, 50_000
+        running.simulate, lattice._MOST_POINTS = small, 50_000
         os.chdir(self.folder)
         try:
             yield
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, usual)
-            simulation.simulate, lattice._MOST_POINTS = simulate, most
+            running.simulate, lattice._MOST_POINTS = simulate, most
             jax.config.update("jax_enable_x64", x64)
             os.chdir(here)
 

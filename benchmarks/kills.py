@@ -121,7 +121,7 @@ def datasets(path: Path) -> dict[str, np.ndarray]:
 
 
 def start(*arguments: str) -> subprocess.Popen[bytes]:
-    code = "import sys; from jaxmps.cli import main; sys.exit(main())"
+    code = "import sys; from jaxmps.command_line.main import main; sys.exit(main())"
     command = [sys.executable, "-c", code, *arguments]
     # Programs that compile in a moment are kept, too: there are many of them.
     environment = {**os.environ, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}

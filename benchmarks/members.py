@@ -21,8 +21,8 @@ import jax.numpy as jnp
 
 import jaxmps as mps
 from benchmarks import machine
-from jaxmps._batch_size import bytes_of
 from jaxmps._compilation import compiler_options
+from jaxmps.ensembles.batch_size import bytes_of
 
 _MOST_IN_TURN = 64  # members that are also run one after the other, and under vmap
 DT = 1e-3  # s, below the Courant limit of the wave's 0.7 m/s at the default spacing

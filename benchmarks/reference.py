@@ -17,11 +17,9 @@ from scipy.sparse.linalg import LinearOperator, cg, spilu, splu
 
 from benchmarks.reference_list import List, Pairs
 from jaxmps import Case, Scheme
-from jaxmps.collision import PairCollision
-from jaxmps.free_surface import DensityThreshold
+from jaxmps.flow import Kind
 from jaxmps.kernels import lattice
-from jaxmps.particles import Kind
-from jaxmps.pressure import DensityDeviation
+from jaxmps.models import DensityDeviation, DensityThreshold, PairCollision
 
 Solver = Literal["jacobi", "ilu", "lu"]
 SOLVERS: tuple[Solver, ...] = ("jacobi", "ilu", "lu")

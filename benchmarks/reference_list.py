@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxmps.particles import Kind
+from jaxmps.flow import Kind
 
 
 class Pairs(NamedTuple):

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 import jaxmps as mps
 from benchmarks.disorder import RATIO, disordered
 from jaxmps.cases.lattice import WATER, block_in_tank, cells, dummy_layers, materials, tank_case
-from jaxmps.particles import Kind
+from jaxmps.flow import Kind
 
 LENGTH, HEIGHT = 2.0, 2.0
 """Of the tank [m]."""

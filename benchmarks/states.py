@@ -10,7 +10,7 @@ import numpy as np
 import jaxmps as mps
 from benchmarks.disorder import disordered
 from benchmarks.splash import splash
-from jaxmps.particles import Particles
+from jaxmps.flow import Particles
 
 
 class Flow(NamedTuple):

@@ -21,8 +21,8 @@ from benchmarks import equation
 from benchmarks.states import Flow
 from benchmarks.timing import compiled
 from benchmarks.traffic import bytes_per_product, bytes_per_step
+from jaxmps.flow import FATAL, Status
 from jaxmps.neighbors import Neighbors, update
-from jaxmps.status import FATAL, Status
 from jaxmps.stepping import largest_step, pressure_equation, step
 
 _UPDATES = 4  # of the list in one timed call

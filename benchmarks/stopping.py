@@ -18,7 +18,7 @@ import numpy as np
 import jaxmps as mps
 from benchmarks import equation
 from benchmarks.timing import compiled
-from jaxmps.preconditioning import AbstractPreconditioning, ByDiagonal, ByMultigrid
+from jaxmps.pressure import AbstractPreconditioning, ByDiagonal, ByMultigrid
 
 TOLERANCES = (1e-3, 1e-4, 1e-5)
 WAYS = (("multigrid, last pressure", ByMultigrid(), False), ("multigrid", ByMultigrid(), True))

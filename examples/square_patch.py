@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 import jaxmps as mps
-from jaxmps.cases.square_patch import SQUARE_PATCH_REFERENCE
+from jaxmps.cases import SQUARE_PATCH_REFERENCE
 
 
 def compared() -> dict[str, mps.Scheme]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import html
 import platform
 from collections.abc import Iterator, Mapping
 from importlib import metadata
@@ -86,3 +87,17 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "not installed"
+
+
+def table(title: str, rows: Mapping[str, Any]) -> str:
+    """A small table of names and values, as HTML."""
+    cells = "".join(
+        f'<tr><th style="text-align:left">{html.escape(str(name))}</th>'
+        f'<td style="text-align:left">{html.escape(_shown(value))}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f"<table><caption><b>{html.escape(title)}</b></caption>{cells}</table>"
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -8,13 +8,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar
-from jaxmps.case import Case
-from jaxmps.energy import Energy, mechanical_energy
-from jaxmps.linear import Convergence
-from jaxmps.pairs import Pairs
-from jaxmps.particles import Kind, Particles
-from jaxmps.stabilization import Push
-from jaxmps.status import Event, Status
+from jaxmps.flow import Case, Energy, Event, Kind, Particles, Status, mechanical_energy
+from jaxmps.models import Push
+from jaxmps.neighbors import Pairs
+from jaxmps.pressure import Convergence
 
 BITS = (
     Status.NOT_FINITE,

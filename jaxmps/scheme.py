@@ -3,17 +3,22 @@
 import equinox as eqx
 
 from jaxmps._types import Scalar, as_array
-from jaxmps._views import table
-from jaxmps.collision import AbstractCollision
-from jaxmps.description import describe
-from jaxmps.free_surface import AbstractFreeSurface, AbstractSurfaceCondition, AtCenters
+from jaxmps.description import describe, table
+from jaxmps.models import (
+    AbstractCollision,
+    AbstractFreeSurface,
+    AbstractInterface,
+    AbstractSource,
+    AbstractStabilizer,
+    AbstractSurfaceCondition,
+    AbstractVelocityNoise,
+    AbstractViscosity,
+    AtCenters,
+    NoStabilization,
+    PairedDensity,
+)
 from jaxmps.operators import AbstractGradient, AbstractLaplacian, KernelLaplacian
-from jaxmps.phases import AbstractInterface, PairedDensity
-from jaxmps.preconditioning import AbstractPreconditioning, ByMultigrid
-from jaxmps.pressure import AbstractSource
-from jaxmps.stabilization import AbstractStabilizer, NoStabilization
-from jaxmps.stochastic import AbstractVelocityNoise
-from jaxmps.viscosity import AbstractViscosity
+from jaxmps.pressure import AbstractPreconditioning, ByMultigrid
 
 
 class TimeStep(eqx.Module):

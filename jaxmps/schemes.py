@@ -3,16 +3,29 @@
 import dataclasses
 
 from jaxmps._types import ArrayLike, as_array
-from jaxmps.collision import NoCollision, PairCollision
-from jaxmps.free_surface import DensityThreshold, HalfSpacing, OneSided
+from jaxmps.models import (
+    AbstractStabilizer,
+    CorrectedDivergence,
+    DensityDeviation,
+    DensityThreshold,
+    DriftFreeVelocity,
+    DynamicStabilization,
+    HalfSpacing,
+    HigherOrderSource,
+    Inviscid,
+    NoCollision,
+    NoNoise,
+    NoStabilization,
+    OneSided,
+    OwnDensity,
+    PairCollision,
+    PairedDensity,
+    StochasticVelocity,
+    Viscous,
+)
 from jaxmps.operators import CMPS, AbstractGradient, Corrected, MinPressure
-from jaxmps.phases import OwnDensity, PairedDensity
-from jaxmps.pressure import CorrectedDivergence, DensityDeviation, HigherOrderSource
 from jaxmps.scheme import Scheme, TimeStep
-from jaxmps.stabilization import AbstractStabilizer, DynamicStabilization, NoStabilization
-from jaxmps.stochastic import DriftFreeVelocity, NoNoise, StochasticVelocity
 from jaxmps.validation import between
-from jaxmps.viscosity import Inviscid, Viscous
 
 
 def mps(

@@ -7,16 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxmps._types import Scalar, positive_or_one
-from jaxmps.case import Case
-from jaxmps.energy import energy_loss, kinetic_energy
+from jaxmps.flow import Case, Kind, Particles, energy_loss, kinetic_energy
 from jaxmps.kernels import lattice
-from jaxmps.linear import Convergence
+from jaxmps.models import Compression
 from jaxmps.monitor import StepInfo, inspect
-from jaxmps.neighbors import Neighbors, pairs, update
+from jaxmps.neighbors import Neighbors, Pairs, pairs, update
 from jaxmps.operators import density_rate, divergence, number_density, pair_weight
-from jaxmps.pairs import Pairs
-from jaxmps.particles import Kind, Particles
-from jaxmps.pressure import Compression, PressureEquation, poisson_operator, solve_pressure
+from jaxmps.pressure import Convergence, PressureEquation, poisson_operator, solve_pressure
 from jaxmps.scheme import Scheme
 
 

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
+from jaxmps.neighbors import Pairs
 from jaxmps.operators import pair_weight
-from jaxmps.pairs import Pairs
 
 SPACING = 0.1
 DIMENSIONS = pytest.mark.parametrize("dim", [2, 3])

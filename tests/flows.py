@@ -15,12 +15,11 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from jaxmps import Box, Case, Kind, cases, schemes
-from jaxmps.free_surface import OneSided
-from jaxmps.linear import AbstractOperator
+from jaxmps.flow import Fluid, at_rest
+from jaxmps.models import OneSided
 from jaxmps.neighbors import Neighbors, pairs
 from jaxmps.operators import pair_weight
-from jaxmps.particles import Fluid, at_rest
-from jaxmps.pressure import PressureEquation
+from jaxmps.pressure import AbstractOperator, PressureEquation
 from jaxmps.stepping import Prediction, density_and_surface, pressure_equation
 
 RATIO = 2.1

@@ -15,7 +15,7 @@ import jaxmps as mps
 from benchmarks import equation
 from benchmarks.reference import SOLVERS, Flow, Reference, Solver
 from benchmarks.splash import splash
-from jaxmps.particles import Kind
+from jaxmps.flow import Kind
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ import trimesh
 from scipy.spatial import KDTree
 
 from jaxmps import Kind, casefile, cases, schemes, simulate
-from jaxmps._cli_values import case_factories, scheme_factories
 from jaxmps.casefile import CaseFile, CaseFileError, read, template
-from jaxmps.cli import main
+from jaxmps.casefile.arguments import case_factories, scheme_factories
+from jaxmps.command_line import main
 
 TANK = """
 [case]

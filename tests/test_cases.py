@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 import jaxmps
 from jaxmps import Box, Case, Fluid, Kind, Particles, cases
 from jaxmps.cases import dam_break, dam_break_3d, hydrostatic, hydrostatic_pressure, jitter
+from jaxmps.flow import at_rest
 from jaxmps.kernels import lattice
-from jaxmps.particles import at_rest
 
 
 def counts(case: Case) -> tuple[int, ...]:

@@ -17,13 +17,13 @@ import jax
 import platformdirs
 import pytest
 
-from jaxmps._cli_output import conclude
-from jaxmps._cli_values import build, case_factories, scheme_factories
-from jaxmps.cli import main
+from jaxmps.casefile.arguments import build, case_factories, scheme_factories
+from jaxmps.command_line import main
+from jaxmps.command_line.output import conclude
+from jaxmps.flow import Event, Outcome, Status
 from jaxmps.io import read
-from jaxmps.recorder import Recorder
-from jaxmps.status import Event, Outcome, Status
-from jaxmps.stochastic import DriftFreeVelocity, StochasticVelocity
+from jaxmps.models import DriftFreeVelocity, StochasticVelocity
+from jaxmps.running.recorder import Recorder
 
 # A fixed time step of any size runs the same compiled code.
 TINY = ("run", "dam_break", "--spacing", "0.1", "--dt", "0.005")
@@ -328,7 +328,7 @@ def test_version_and_help_need_no_arguments():
 
 
 def test_help_does_not_wait_for_jax():
-    code = "import sys, jaxmps.cli; jaxmps.cli.main(['--help']); sys.exit('jax' in sys.modules)"
+    code = "import sys, jaxmps.command_line; jaxmps.command_line.main(['--help']); sys.exit('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60)
     assert done.returncode == 0, done.stderr.decode()
 

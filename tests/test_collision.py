@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxmps._vectors import components
-from jaxmps.collision import NoCollision, PairCollision
-from jaxmps.pairs import Pairs
+from jaxmps.models import NoCollision, PairCollision
+from jaxmps.neighbors import Pairs
 
 SPACING = 0.1
 DT = 1e-3

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxmps import Kind, Run, diagnostics
+from jaxmps.flow import Event, Outcome, Status
 from jaxmps.plotting import panels
-from jaxmps.status import Event, Outcome, Status
 
 SPACING = 0.1
 

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 import jaxmps as mps
-from jaxmps import _lanes, loop, simulation
-from jaxmps._batch_size import bytes_of
-from jaxmps._members import members
+from jaxmps.ensembles import lanes
+from jaxmps.ensembles.batch_size import bytes_of
+from jaxmps.ensembles.members import members
 from jaxmps.io import read_ensemble, write_ensemble
 from jaxmps.monitor import empty_log
+from jaxmps.running import loop, simulation
 
 ALPHAS = (0.0, 0.02, 0.04)
 KEYS = jax.vmap(jax.random.key)(jnp.arange(3))
@@ -102,10 +103,10 @@ def test_a_member_that_blows_up_stays_as_it_was_and_disturbs_no_other(swept, bat
 
 def test_a_full_table_of_one_member_is_enlarged_without_changing_the_answer(swept, monkeypatch):
     batch = members(swept[0], swept[1], KEYS)
-    usual = _lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
+    usual = lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
     usual.reach(0.02)
     monkeypatch.setattr(simulation, "usual_capacity", lambda reach, dim: 9)
-    small = _lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
+    small = lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
     small.reach(0.02)
     np.testing.assert_allclose(small.look(), usual.look(), atol=1e-12)
     assert small._state.neighbors.capacity > 9
@@ -122,7 +123,7 @@ def test_memory_of_a_member_stays_below_what_is_reckoned_with(swept):
 
 
 def test_a_bound_on_memory_bounds_the_batch(swept):
-    from jaxmps._batch_size import sizes
+    from jaxmps.ensembles.batch_size import sizes
 
     member = members(swept[0], swept[1], KEYS)[0]
     each = bytes_of(member.case, member.scheme)
@@ -213,7 +214,7 @@ SWEEP += ["--members", "2", "--sweep", "stochastic.alpha=0.01:0.03:2", "--jitter
 
 
 def launch(folder: Path, *more: str) -> subprocess.Popen:
-    code = "import sys; from jaxmps.cli import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from jaxmps.command_line.main import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", code, *SWEEP, "--out", str(folder), *more]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

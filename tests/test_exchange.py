@@ -10,8 +10,8 @@ import pytest
 from test_plotting import make_run
 
 import jaxmps as mps
-from jaxmps.cli import main
-from jaxmps.run import Run
+from jaxmps.command_line import main
+from jaxmps.results import Run
 
 FORMATS = ("csv", "prof", "vtu", "vtp")
 

@@ -9,12 +9,13 @@ import pytest
 from arrangements import DIMENSIONS, SPACING, block, table
 
 from jaxmps._vectors import components
-from jaxmps.free_surface import AtCenters, DensityThreshold, HalfSpacing, OneSided, toward_neighbors
 from jaxmps.kernels import lattice
-from jaxmps.linear import Jacobi
+from jaxmps.models import AtCenters, DensityThreshold, HalfSpacing, OneSided
+from jaxmps.models.free_surface import toward_neighbors
+from jaxmps.neighbors import Pairs
 from jaxmps.operators import KernelLaplacian, number_density, pair_weight
-from jaxmps.pairs import Pairs
 from jaxmps.pressure import PressureEquation, poisson_operator, solve_pressure
+from jaxmps.pressure.linear import Jacobi
 
 RADIUS = 2.1 * SPACING
 N0 = lattice(2.1, 2).n0

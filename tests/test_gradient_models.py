@@ -8,15 +8,10 @@ from arrangements import CLOUD, DIMENSIONS, SPACING, block, box_cloud, cloud, co
 
 from jaxmps._vectors import components
 from jaxmps.kernels import lattice
-from jaxmps.operators import (
-    CMPS,
-    Corrected,
-    MinPressure,
-    pair_weight,
-)
+from jaxmps.models import OwnDensity, PairedDensity
+from jaxmps.neighbors import Pairs
+from jaxmps.operators import CMPS, Corrected, MinPressure, pair_weight
 from jaxmps.operators.gradient import minimum, solve_small, weighted_gradient
-from jaxmps.pairs import Pairs
-from jaxmps.phases import OwnDensity, PairedDensity
 
 RADIUS = 2.1 * SPACING
 PRESSURE = np.random.default_rng(4).uniform(-1e4, 1e4, 150)

@@ -10,11 +10,10 @@ import pytest
 from hasty import quick
 
 import jaxmps as mps
+from jaxmps.flow import Kind, at_rest
 from jaxmps.neighbors import allocate, pairs
 from jaxmps.operators import laplacian, number_density, pair_weight
-from jaxmps.particles import Kind, at_rest
-from jaxmps.preconditioning import ByDiagonal
-from jaxmps.pressure import poisson_operator
+from jaxmps.pressure import ByDiagonal, poisson_operator
 
 SPACING, RADIUS = 0.05, 0.105
 G = 9.81

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxmps as mps
-from jaxmps.motion import AbstractSignal, Bodies, Constant, Rigid, Sine, Table
+from jaxmps.flow.motion import AbstractSignal, Bodies, Constant, Rigid, Sine, Table
 from jaxmps.stepping import largest_step
 
 

@@ -12,9 +12,9 @@ import pytest
 from hasty import quick
 
 from jaxmps import Box
-from jaxmps.multigrid import Grid, cover, multigrid
-from jaxmps.multigrid.elements import apply, coarsen, entries, row_sums, stencil
-from jaxmps.multigrid.grid import closed, folded, prolong, restrict
+from jaxmps.pressure.multigrid import Grid, cover, multigrid
+from jaxmps.pressure.multigrid.elements import apply, coarsen, entries, row_sums, stencil
+from jaxmps.pressure.multigrid.grid import closed, folded, prolong, restrict
 
 GRIDS = {
     "open": Grid((-1.0, 2.0), (0.5, 0.7), (12, 10), (False, False)),

@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 
 from jaxmps import Box, Kind
 from jaxmps._vectors import dot
+from jaxmps.flow import at_rest
 from jaxmps.kernels import lattice
-from jaxmps.neighbors import Neighbors, allocate, grow, pairs, update, usual_capacity
-from jaxmps.pairs import Pairs
-from jaxmps.particles import at_rest
+from jaxmps.neighbors import Neighbors, Pairs, allocate, grow, pairs, update, usual_capacity
 
 SPACING = 0.1
 CUTOFF = 2.1 * SPACING
@@ -361,7 +360,7 @@ def test_lists_of_jax_md_come_without_the_rest_where_they_can(tmp_path, init, pa
     code = f"""
 import sys
 sys.path.insert(0, sys.argv[1])
-from jaxmps._jax_md import partition
+from jaxmps.neighbors.jax_md import partition
 lists = partition()
 assert ("jax_md.energy" in sys.modules) == {bool(partition)}
 import jax_md
@@ -373,7 +372,7 @@ assert jax_md.partition is lists is partition() is sys.modules["jax_md.partition
 def test_a_list_is_made_without_the_rest_of_jax_md():
     code = """
 import sys
-from jaxmps._jax_md import partition
+from jaxmps.neighbors.jax_md import partition
 assert partition().NeighborList and not {"jax_md", "jax_md.energy", "flax", "e3nn_jax", "sympy"} & set(sys.modules)
 """
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -12,7 +12,7 @@ from hasty import quick
 
 import jaxmps as mps
 from jaxmps import diagnostics
-from jaxmps.energy import Energy
+from jaxmps.flow import Energy
 
 SPACING = 0.05
 

@@ -11,7 +11,7 @@ import pytest
 
 import jaxmps as mps
 from jaxmps import plotting
-from jaxmps.cli import main
+from jaxmps.command_line import main
 from jaxmps.diagnostics import observation, volume_fraction
 
 SCHEME = mps.schemes.mps()

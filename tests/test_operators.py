@@ -8,9 +8,9 @@ import pytest
 from arrangements import CLOUD, DIMENSIONS, SPACING, block, cloud, table
 
 from jaxmps._vectors import joined
+from jaxmps.models import Inviscid, Viscous
 from jaxmps.operators import MinPressure, laplacian, number_density, pair_weight
 from jaxmps.operators.gradient import minimum
-from jaxmps.viscosity import Inviscid, Viscous
 
 PRESSURE = np.random.default_rng(4).uniform(0, 1e4, 150)
 

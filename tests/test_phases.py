@@ -10,8 +10,9 @@ from arrangements import SPACING, block, couple
 import jaxmps
 from jaxmps import cases, schemes
 from jaxmps.cases import SETTLING_ACCELERATION, SURFACING_ACCELERATION, grain_groups, two_layer_pressure
+from jaxmps.models import OwnDensity, PairedDensity, mean_density
+from jaxmps.models.interface import share_of_displacement
 from jaxmps.operators import Corrected
-from jaxmps.phases import OwnDensity, PairedDensity, mean_density, share_of_displacement
 
 G = 9.81
 

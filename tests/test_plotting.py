@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from jaxmps import plotting
-from jaxmps.run import Run
+from jaxmps.results import Run
 
 SPACING, FRAMES = 0.1, 4
 

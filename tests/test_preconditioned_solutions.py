@@ -13,9 +13,8 @@ from hasty import quick
 from jaxtyping import Array
 
 from jaxmps import Kind, State, rollout, schemes
-from jaxmps.linear import solve
-from jaxmps.preconditioning import ByDiagonal
-from jaxmps.pressure import PoissonOperator, PressureEquation, solve_pressure
+from jaxmps.pressure import ByDiagonal, PoissonOperator, PressureEquation, solve_pressure
+from jaxmps.pressure.linear import solve
 
 TOLERANCE, MOST = 1e-12, 1000
 

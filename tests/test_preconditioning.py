@@ -10,9 +10,9 @@ from flows import PRODUCTS, Counted, Flow, flow, look_up, per_precision, right_h
 from hasty import quick
 from jaxtyping import Array, Bool
 
-from jaxmps.linear import AbstractPreconditioner, Jacobi, solve
-from jaxmps.multigrid.elements import apply
-from jaxmps.pressure import PressureEquation
+from jaxmps.pressure import AbstractPreconditioner, PressureEquation
+from jaxmps.pressure.linear import Jacobi, solve
+from jaxmps.pressure.multigrid.elements import apply
 
 BOTH = pytest.mark.parametrize("precision", ["single", "double"], indirect=True)
 SINGLE = pytest.mark.parametrize("precision", ["single"], indirect=True)

@@ -12,20 +12,14 @@ import pytest
 import jaxmps
 from jaxmps import Box, Kind, cases, schemes
 from jaxmps._vectors import components
+from jaxmps.flow import at_rest
 from jaxmps.kernels import lattice
-from jaxmps.linear import Jacobi
-from jaxmps.linear import solve as solve_plainly
+from jaxmps.models import Compression, DensityDeviation
+from jaxmps.neighbors import Pairs
 from jaxmps.operators import KernelLaplacian, laplacian, pair_weight
-from jaxmps.pairs import Pairs
-from jaxmps.particles import at_rest
-from jaxmps.pressure import (
-    Compression,
-    DensityDeviation,
-    PoissonOperator,
-    PressureEquation,
-    poisson_operator,
-    solve_pressure,
-)
+from jaxmps.pressure import PoissonOperator, PressureEquation, poisson_operator, solve_pressure
+from jaxmps.pressure.linear import Jacobi
+from jaxmps.pressure.linear import solve as solve_plainly
 
 SPACING = 0.1
 RADIUS = 2.1 * SPACING

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import jaxmps as mps
-from jaxmps.loop import Loop
-from jaxmps.particles import at_rest
-from jaxmps.progress import meter
-from jaxmps.rescue import Rescue
-from jaxmps.status import ADVICE, FATAL, MESSAGES, Event, Outcome, Status
+from jaxmps.flow import FATAL, MESSAGES, Event, Outcome, Status, at_rest
+from jaxmps.flow.status import ADVICE
+from jaxmps.running import Loop
+from jaxmps.running.progress import meter
+from jaxmps.running.rescue import Rescue
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 SPACING, GRAVITY = 0.1, 9.81

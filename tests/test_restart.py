@@ -15,10 +15,10 @@ import pytest
 
 import jaxmps as mps
 from benchmarks import kills
-from jaxmps import checkpoints, loop, restart
-from jaxmps.cli import main
-from jaxmps.io import _image, checkpoint_of, read_checkpoint
-from jaxmps.io.checkpoint import VERSION, write_checkpoint
+from jaxmps.command_line import main
+from jaxmps.io import _image, checkpoint_of, read_checkpoint, write_checkpoint
+from jaxmps.io.checkpoint import VERSION
+from jaxmps.running import checkpoints, loop, restart
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 TIMES: dict[str, Any] = {"until": 0.3, "save_every": 0.15}

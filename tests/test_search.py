@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from jaxmps import Box, _jax_md
-from jaxmps._search import search, window_size
-from jaxmps.neighbors import allocate, grow, update
+from jaxmps import Box
+from jaxmps.neighbors import allocate, grow, jax_md, update
+from jaxmps.neighbors.search import search, window_size
 
 REACH = 0.25
 N = 120
@@ -85,7 +85,7 @@ def test_pairs_are_those_of_brute_force(lengths, periodic):
     [((1.3, 1.0), (False, False)), ((1.1, 0.9), (True, False)), ((1.0, 0.9, 0.8), (False, True, True))],
 )
 def test_list_is_that_of_jax_md(lengths, periodic):
-    partition = _jax_md.partition()
+    partition = jax_md.partition()
     box = Box((0.2,) * len(lengths), tuple(0.2 + x for x in lengths), periodic)
     rng = np.random.default_rng(1)
     position = jnp.array(rng.uniform(box.lower, box.upper, (N, box.dim)))

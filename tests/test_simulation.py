@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import jaxmps as mps
-from jaxmps.particles import at_rest
-from jaxmps.status import Status
-from jaxmps.stochastic import AbstractVelocityNoise
+from jaxmps.flow import Status, at_rest
+from jaxmps.models import AbstractVelocityNoise
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 

@@ -7,18 +7,10 @@ import pytest
 from arrangements import SPACING, block, box_cloud
 
 from jaxmps.kernels import lattice
-from jaxmps.linear import Jacobi
+from jaxmps.models import Compression, CorrectedDivergence, DensityDeviation, ErrorCompensatingSource, HigherOrderSource
 from jaxmps.operators import KernelLaplacian, density_rate, divergence, number_density
-from jaxmps.pressure import (
-    Compression,
-    CorrectedDivergence,
-    DensityDeviation,
-    ErrorCompensatingSource,
-    HigherOrderSource,
-    PressureEquation,
-    poisson_operator,
-    solve_pressure,
-)
+from jaxmps.pressure import PressureEquation, poisson_operator, solve_pressure
+from jaxmps.pressure.linear import Jacobi
 
 RADIUS = 2.1 * SPACING
 DT = 1e-3

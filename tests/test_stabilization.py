@@ -11,9 +11,10 @@ import jaxmps
 from jaxmps import cases, schemes
 from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
+from jaxmps.models import DynamicStabilization, NoStabilization
+from jaxmps.models.stabilization import gap
+from jaxmps.neighbors import Pairs
 from jaxmps.operators import pair_weight
-from jaxmps.pairs import Pairs
-from jaxmps.stabilization import DynamicStabilization, NoStabilization, gap
 
 DT = 1e-3
 ALPHA = 0.9

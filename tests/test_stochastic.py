@@ -12,8 +12,8 @@ from jax import random
 from scipy.stats import kstest
 
 import jaxmps as mps
-from jaxmps.energy import kinetic_energy
-from jaxmps.stochastic import AbstractVelocityNoise, DriftFreeVelocity, NoNoise, StochasticVelocity
+from jaxmps.flow import kinetic_energy
+from jaxmps.models import AbstractVelocityNoise, DriftFreeVelocity, NoNoise, StochasticVelocity
 
 N = 20_000
 ALPHA, LOSS = 0.04, 2e-5

@@ -234,13 +234,13 @@ def test_ctrl_c_before_the_first_step_is_passed_on():
 
 
 def test_ctrl_c_during_a_later_step_ends_it_with_its_history(tmp_path, monkeypatch):
-    from jaxmps import tuning
+    from jaxmps.tuning import tuner
 
     def interrupted(file, about, done):
         if len(done.loss) == 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(tuning, "write", interrupted)
+    monkeypatch.setattr(tuner, "write", interrupted)
     best, history = mps.tune(bowl, SCHEME(), both, optax.sgd(0.1), steps=50, progress=False)
     assert history.ended == "interrupted"
     assert len(history.loss) == 3

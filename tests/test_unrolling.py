@@ -10,7 +10,7 @@ import pytest
 from hasty import options, quick
 
 import jaxmps as mps
-from jaxmps.preconditioning import ByDiagonal
+from jaxmps.pressure import ByDiagonal
 
 DT = 2e-3
 

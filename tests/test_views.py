@@ -18,7 +18,7 @@ from test_plotting import FRAMES, make_run
 
 import jaxmps as mps
 from jaxmps import plotting
-from jaxmps.status import Event, Outcome, Status
+from jaxmps.flow import Event, Outcome, Status
 
 
 class Cells(HTMLParser):
@@ -97,7 +97,7 @@ def test_pyvista_gets_a_frame_with_all_its_point_data(dim):
 
 
 def test_a_package_that_is_not_there_is_named_with_the_way_to_get_it():
-    from jaxmps._views import needed
+    from jaxmps.results import needed
 
     with pytest.raises(ImportError, match=r"no_such_package is needed for this: pip install 'jaxmps\[exchange\]'"):
         needed("no_such_package")
@@ -143,7 +143,7 @@ def test_a_notebook_shows_tables_a_player_and_a_bar_that_moves(tmp_path):
     source = [
         "from test_plotting import make_run\nfrom jaxmps import plotting\nmake_run()",
         "plotting.player(make_run(), dpi=50.0)",
-        "from jaxmps.progress import meter\nwith meter(2.0, None) as bar:\n"
+        "from jaxmps.running.progress import meter\nwith meter(2.0, None) as bar:\n"
         "    for k in range(5):\n        bar.update(0.4 * k, 1e-3, 1.5)\n        time.sleep(0.15)",
     ]
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in ["\n".join(lines), *source]])

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxmps.flow import Outcome
 from jaxmps.io import Writer, read
-from jaxmps.status import Outcome
 
 vtk = pytest.importorskip("vtk")
 from vtkmodules.util.numpy_support import vtk_to_numpy  # noqa: E402

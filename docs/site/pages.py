@@ -17,7 +17,7 @@ from typing import Any
 import equinox as eqx
 import typer
 
-from jaxmps.linear import AbstractOperator
+from jaxmps.pressure import AbstractOperator
 
 ROOT = Path(__file__).parent.parent.parent
 MODULES = (
@@ -109,7 +109,8 @@ def constant_docstring(name: str) -> str:
 
 def status() -> str:
     """What each bit of a status means, and what to try."""
-    from jaxmps.status import ADVICE, FATAL, MESSAGES
+    from jaxmps.flow import FATAL, MESSAGES
+    from jaxmps.flow.status import ADVICE
 
     rows = [f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {ADVICE[bit]} |" for bit in MESSAGES]
     return "\n".join(["| bit | meaning | ends the run | advice |", "|---|---|---|---|", *rows])
@@ -117,7 +118,7 @@ def status() -> str:
 
 def commands() -> str:
     """Help, arguments and options of each command, from the command line itself."""
-    from jaxmps.cli import app
+    from jaxmps.command_line import app
 
     command = typer.main.get_command(app)
     context = command.make_context("jaxmps", ["--help"], resilient_parsing=True)

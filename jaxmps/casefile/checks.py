@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from jaxmps.casefile.plane import CLOSE
 from jaxmps.casefile.setup import Setup
-from jaxmps.particles import Kind
+from jaxmps.flow import Kind
 from jaxmps.stepping import largest_step
 
 # README, "Speed": bytes per particle of a step, and µs per particle and step on two cores of a server.

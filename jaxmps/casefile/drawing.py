@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxmps.casefile.setup import Setup
 from jaxmps.plotting import frame
-from jaxmps.run import Run
+from jaxmps.results import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

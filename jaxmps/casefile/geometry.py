@@ -9,14 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import shapely
 
-from jaxmps.box import Box
-from jaxmps.case import Case
 from jaxmps.casefile import plane, solid
 from jaxmps.casefile.models import Body, OwnFile, Shape, Wall
 from jaxmps.casefile.motion import motion
 from jaxmps.casefile.parsing import CaseFileError, attributed
 from jaxmps.cases.lattice import dummy_layers, materials
-from jaxmps.particles import Kind, at_rest
+from jaxmps.flow import Box, Case, Kind, at_rest
 
 _SHAPES = {2: ("polygon", "box", "circle"), 3: ("box", "sphere", "stl")}
 

@@ -120,7 +120,7 @@ class SignalTable(Table):
 
 
 class MotionTable(Table):
-    """`[motion]`: all walls move as one body, see `jaxmps.motion.Rigid`; `roll` is about `center` [m]."""
+    """`[motion]`: all walls move as one body, see `jaxmps.flow.motion.Rigid`; `roll` is about `center` [m]."""
 
     center: Vector | None = None
     sway: SignalTable | None = None

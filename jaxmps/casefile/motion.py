@@ -3,7 +3,7 @@
 import math
 
 from jaxmps.casefile.models import MotionTable, SignalTable
-from jaxmps.motion import AbstractMotion, AbstractSignal, Rigid, Sine, Still, Table
+from jaxmps.flow.motion import AbstractMotion, AbstractSignal, Rigid, Sine, Still, Table
 
 
 def motion(table: MotionTable | None, dim: int) -> AbstractMotion:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
-from jaxmps._cli_values import arguments, case_factories, hint
+from jaxmps.casefile.arguments import arguments, case_factories, hint
 from jaxmps.casefile.models import BuiltinFile, OwnFile, Table
 from jaxmps.validation import one_of
 

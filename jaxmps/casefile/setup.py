@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxmps._cli_values import (
+from jaxmps.casefile.arguments import (
     arguments,
     assignments,
     build_case,
@@ -16,11 +16,11 @@ from jaxmps._cli_values import (
     picked,
     scheme_factories,
 )
-from jaxmps.case import Case
 from jaxmps.casefile.geometry import Layout, build
 from jaxmps.casefile.models import BuiltinFile, OwnFile, RunTable
 from jaxmps.casefile.parsing import CaseFileError, attributed, parse
 from jaxmps.diagnostics import Probe
+from jaxmps.flow import Case
 from jaxmps.scheme import Scheme
 from jaxmps.validation import one_of
 

@@ -6,7 +6,7 @@ import textwrap
 import typing
 from typing import Any
 
-from jaxmps._cli_values import arguments, case_factories, scheme_factories
+from jaxmps.casefile.arguments import arguments, case_factories, scheme_factories
 from jaxmps.casefile.models import RunTable
 from jaxmps.validation import one_of
 

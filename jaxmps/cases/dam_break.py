@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
+from jaxmps.flow import Case
 from jaxmps.validation import at_most, positive
 
 

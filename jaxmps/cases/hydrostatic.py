@@ -4,8 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmps._types import ArrayLike
-from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
+from jaxmps.flow import Case
 from jaxmps.validation import at_most, not_negative, positive
 
 

@@ -11,9 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxmps.box import Box
-from jaxmps.case import Case
-from jaxmps.particles import Fluid, Kind, at_rest
+from jaxmps.flow import Box, Case, Fluid, Kind, at_rest
 from jaxmps.validation import between, not_negative, positive
 
 WATER = {"density": 1000.0, "viscosity": 1e-6}

@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmps._types import ArrayLike
-from jaxmps.box import Box
-from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
-from jaxmps.motion import Rigid, Sine
+from jaxmps.flow import Box, Case
+from jaxmps.flow.motion import Rigid, Sine
 from jaxmps.validation import at_most, between, number, one_of, positive
 
 

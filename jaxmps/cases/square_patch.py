@@ -9,10 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxmps._types import ArrayLike
-from jaxmps.box import Box
-from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, lattice_points, materials
-from jaxmps.particles import Kind, at_rest
+from jaxmps.flow import Box, Case, Kind, at_rest
 from jaxmps.validation import at_most, between, not_zero, positive
 
 

@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jaxmps.case import Case
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
+from jaxmps.flow import Case
 from jaxmps.validation import at_most, between, one_of, positive
 
 _FIRST = (0.5, 0.45)  # place of the first particle [spacings]

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxmps._types import ArrayLike
-from jaxmps.case import Case
 from jaxmps.cases.hydrostatic import hydrostatic_pressure
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
+from jaxmps.flow import Case
 from jaxmps.validation import at_most, not_negative, positive
 
 _TANK = {"length": 0.25, "height": 0.2, "depth": 0.175}

@@ -32,5 +32,5 @@ from jaxmps.diagnostics.waves import WaveFit as WaveFit
 from jaxmps.diagnostics.waves import fit_cosine as fit_cosine
 from jaxmps.diagnostics.waves import fit_parabola as fit_parabola
 from jaxmps.diagnostics.waves import wave_fit as wave_fit
-from jaxmps.energy import Energy as Energy
-from jaxmps.energy import mechanical_energy as mechanical_energy
+from jaxmps.flow.energy import Energy as Energy
+from jaxmps.flow.energy import mechanical_energy as mechanical_energy

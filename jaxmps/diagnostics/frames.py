@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxmps.motion import AbstractMotion, Rigid, Still
-from jaxmps.run import Run
+from jaxmps.flow.motion import AbstractMotion, Rigid, Still
+from jaxmps.results import Run
 
 
 def relative(run: Run, motion: AbstractMotion) -> Run:

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxmps.run import Run
+from jaxmps.results import Run
 
 
 def surface_height(run: Run, columns: float = 2.0) -> Float[np.ndarray, "m n"]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxmps._types import ArrayLike, Scalar, positive_or_one
-from jaxmps.case import Case
+from jaxmps.flow import Case
 from jaxmps.monitor import StepInfo
 from jaxmps.neighbors import pairs, update
 from jaxmps.operators import pair_weight

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import Scalar, positive_or_one
-from jaxmps.case import Case
 from jaxmps.diagnostics.objectives import elevation
-from jaxmps.energy import mechanical_energy
+from jaxmps.flow import Case, mechanical_energy
 from jaxmps.neighbors import pairs, update
 from jaxmps.stepping import State
 

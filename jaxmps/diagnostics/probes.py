@@ -8,8 +8,8 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from jaxmps.diagnostics.surface import surge_front
-from jaxmps.particles import Kind
-from jaxmps.run import Run
+from jaxmps.flow import Kind
+from jaxmps.results import Run
 from jaxmps.validation import positive
 
 _RADIUS = 2.1  # [spacings] of the mean of a pressure

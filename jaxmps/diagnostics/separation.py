@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from jaxmps.run import Run
+from jaxmps.results import Run
 
 
 def nearest(run: Run) -> Float[np.ndarray, "m n"]:

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from jaxmps.flow import Kind
 from jaxmps.kernels import lattice
-from jaxmps.particles import Kind
-from jaxmps.run import Run
+from jaxmps.results import Run
 from jaxmps.validation import not_negative, positive
 
 _SAME_PLACE = 1e-3  # [spacings] particles closer than this have no direction from one to the other

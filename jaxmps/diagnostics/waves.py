@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxmps.diagnostics.tracing import trace
-from jaxmps.run import Run
+from jaxmps.results import Run
 from jaxmps.validation import not_negative, positive
 
 _DEPENDENT = 1e-9  # columns of a fit, of order one, with a singular value below this part of the largest fix nothing

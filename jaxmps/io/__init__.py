@@ -2,7 +2,6 @@
 other programs.
 """
 
-from jaxmps.io._text import TYPES as TYPES
 from jaxmps.io.checkpoint import checkpoint_of as checkpoint_of
 from jaxmps.io.checkpoint import read_checkpoint as read_checkpoint
 from jaxmps.io.checkpoint import replace_file as replace_file
@@ -14,6 +13,7 @@ from jaxmps.io.exchange import particles_from as particles_from
 from jaxmps.io.member_files import gather as gather
 from jaxmps.io.member_files import read_ensemble as read_ensemble
 from jaxmps.io.member_files import write_ensemble as write_ensemble
+from jaxmps.io.text import TYPES as TYPES
 from jaxmps.io.vtkhdf import UNITS as UNITS
 from jaxmps.io.vtkhdf import Writer as Writer
 from jaxmps.io.vtkhdf import read as read

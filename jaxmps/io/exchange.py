@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmps._types import as_array
-from jaxmps._views import at_frame, needed, padded
-from jaxmps.io._text import TYPES, Types, read_csv, read_prof, write_csv, write_prof
-from jaxmps.particles import Kind, Particles
-from jaxmps.run import Run
+from jaxmps.flow import Kind, Particles
+from jaxmps.io.text import TYPES, Types, read_csv, read_prof, write_csv, write_prof
+from jaxmps.results import Run, at_frame, needed, padded
 
 FORMATS = ("csv", "prof", "vtu", "vtp")
 """Suffixes of the files that `export` writes and `particles_from` reads."""

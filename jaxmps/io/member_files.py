@@ -9,8 +9,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from jaxmps.runs import Ensemble
-from jaxmps.status import Outcome
+from jaxmps.flow import Outcome
+from jaxmps.io.checkpoint import sync
+from jaxmps.results import Ensemble
 
 FORMAT = 1
 _GROUPS = ("values", "series", "frames")
@@ -108,8 +109,7 @@ def write_ensemble(path: str | Path, ensemble: Ensemble, overwrite: bool = False
                     dataset.dims[0].attach_scale(file["member"])
                     if group != "values":
                         dataset.dims[1].attach_scale(file["time"])
-        with part.open("rb") as stream:
-            os.fsync(stream.fileno())
+        sync(part)
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
@@ -145,6 +145,7 @@ def _put(group: Any, name: str, values: np.ndarray) -> Any:
 
 
 def _replace(path: Path, content: bytes) -> None:
+    """As `replace_file`, but processes that start together may write the same file, each under a name of its own."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     part.write_bytes(content)
     part.replace(path)

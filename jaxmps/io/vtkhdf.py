@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from jaxmps.description import UNITS
-from jaxmps.io import _image, _layout
-from jaxmps.run import Run
-from jaxmps.status import Event, Outcome, Status
+from jaxmps.flow import Event, Outcome, Status
+from jaxmps.io import image as images
+from jaxmps.io import layout
+from jaxmps.results import Run
 
 FORMAT = 1
 
@@ -55,15 +56,15 @@ class Writer:
             raise ValueError("phase must have at least one particle, got none")
         units = {**UNITS, **metadata.get("units", {})}
         described = {key: _to_json(value) for key, value in {**metadata, "units": units}.items()}
-        _layout.reserve(self.path, overwrite)
-        _layout.create(self.path, self._particles, self._dtype, max(frames, 1))
-        with _layout.open_file(self.path, "r+") as file:
+        layout.reserve(self.path, overwrite)
+        layout.create(self.path, self._particles, self._dtype, max(frames, 1))
+        with layout.open_file(self.path, "r+") as file:
             data = file["VTKHDF/PointData"]
             data["phase"] = phase
             data["density"] = np.broadcast_to(np.asarray(density, self._dtype), phase.shape)
             own = file.create_group("jaxmps")
             own["time"] = file["VTKHDF/Steps/Values"]
-            _layout.create_growing(own, "energy", (2,), np.float64)
+            layout.create_growing(own, "energy", (2,), np.float64)
             own.attrs.update(format=FORMAT, dim=dim, spacing=float(spacing))
             own.create_group("metadata").attrs.update(described)
 
@@ -75,8 +76,8 @@ class Writer:
         """
         writer = object.__new__(cls)
         writer.path = Path(path)
-        _image.put_back(writer.path, image)
-        with _layout.open_file(writer.path, "r") as file:
+        images.put_back(writer.path, image)
+        with layout.open_file(writer.path, "r") as file:
             root = file["VTKHDF"]
             writer._dim, writer._dtype = int(file["jaxmps"].attrs["dim"]), root["Points"].dtype
             writer._particles = int(root["NumberOfPoints"][0])
@@ -84,13 +85,13 @@ class Writer:
 
     def history(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (m,) [s] and energies (m, 2) [J/kg] of the frames so far."""
-        with _layout.open_file(self.path, "r") as file:
+        with layout.open_file(self.path, "r") as file:
             frames, own = int(file["VTKHDF/Steps"].attrs["NSteps"]), file["jaxmps"]
             return own["time"][:frames], own["energy"][:frames]
 
     def image(self) -> dict[str, np.ndarray]:
         """What `restored` needs to bring the file back to this instant; its frames are on disk then."""
-        return _image.take(self.path)
+        return images.take(self.path)
 
     def append(
         self,
@@ -113,15 +114,15 @@ class Writer:
             "PointData/kind": self._column("kind", kind, np.int8),
         }
         energies = _checked("energy", np.asarray(energy, np.float64), (2,))
-        with _layout.writing(self.path) as file:
+        with layout.writing(self.path) as file:
             root = file["VTKHDF"]
-            _layout.put(file["jaxmps/energy"], int(root["Steps"].attrs["NSteps"]), energies[None])
-            _layout.append_step(root, float(time), columns)
-            _layout.count_step(root)
+            layout.put(file["jaxmps/energy"], int(root["Steps"].attrs["NSteps"]), energies[None])
+            layout.append_step(root, float(time), columns)
+            layout.count_step(root)
 
     def finish(self, status: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
         """Writes how the run ended."""
-        with _layout.writing(self.path) as file:
+        with layout.writing(self.path) as file:
             file["jaxmps"].attrs["summary"] = _to_json(summary)
             file["jaxmps"].attrs["status"] = _to_json(status)
 
@@ -145,7 +146,7 @@ def read(path: str | Path) -> Run:
     if not path.is_file() or not h5py.is_hdf5(path):
         raise ValueError(f"{path} is not a jaxmps run: it is no HDF5 file, or a damaged one")
     try:
-        with _layout.open_file(path, "r") as file:
+        with layout.open_file(path, "r") as file:
             fault = _fault(file)
             fields = {} if fault else _read_fields(file)
     except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
@@ -172,8 +173,8 @@ def _read_fields(file: Any) -> dict[str, Any]:
         values = stored.reshape(frames, particles, *stored.shape[1:])
         return np.ascontiguousarray(values[..., :dim]) if stored.ndim == 2 else values
 
-    fields: dict[str, Any] = {name: frames_of(f"PointData/{name}") for name in _layout.CHANGING}
-    fields |= {name: root[f"PointData/{name}"][:] for name in _layout.FIXED}
+    fields: dict[str, Any] = {name: frames_of(f"PointData/{name}") for name in layout.CHANGING}
+    fields |= {name: root[f"PointData/{name}"][:] for name in layout.FIXED}
     fields |= {"position": frames_of("Points"), "surface": fields["surface"].astype(bool)}
     fields |= {name: own[name][:frames] for name in ("time", "energy")}
     fields["spacing"] = float(own.attrs["spacing"])

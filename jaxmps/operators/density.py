@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from jaxmps._vectors import dot
 from jaxmps.kernels import weight
-from jaxmps.pairs import Pairs
+from jaxmps.neighbors import Pairs
 
 
 def pair_weight(pairs: Pairs, radius: float) -> Float[Array, "n k"]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._types import total
-from jaxmps.pairs import Pairs
+from jaxmps.neighbors import Pairs
 
 
 class AbstractGradient(eqx.Module):

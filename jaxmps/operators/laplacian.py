@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxmps._vectors import components, joined
 from jaxmps.kernels import lattice
-from jaxmps.pairs import Pairs
+from jaxmps.neighbors import Pairs
 
 
 class AbstractLaplacian(eqx.Module):

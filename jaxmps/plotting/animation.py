@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxmps.plotting.flow import Scene
-from jaxmps.run import Run
+from jaxmps.results import Run
 from jaxmps.validation import positive
 
 _LAST = 1000  # how long a GIF rests on its last frame, in ms

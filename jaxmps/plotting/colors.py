@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxmps.run import Run
+from jaxmps.results import Run
 from jaxmps.validation import number, one_of
 
 if TYPE_CHECKING:

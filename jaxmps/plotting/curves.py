@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxmps.plotting.flow import heading, new_figure
-from jaxmps.run import Run
+from jaxmps.results import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,12 +40,8 @@ def front(run: Run, ax: Any = None) -> "Figure":
 
     a is the width of the column. Raises `ValueError` if the run is no dam break.
     """
-    from jaxmps.cases.dam_break import (
-        KOSHIZUKA_OKA_EXPERIMENT,
-        KOSHIZUKA_OKA_MPS,
-        MARTIN_MOYCE_EXPERIMENT,
-    )
-    from jaxmps.diagnostics.surface import surge_front
+    from jaxmps.cases.dam_break import KOSHIZUKA_OKA_EXPERIMENT, KOSHIZUKA_OKA_MPS, MARTIN_MOYCE_EXPERIMENT
+    from jaxmps.diagnostics import surge_front
 
     case = run.metadata.get("case")
     case = case if isinstance(case, dict) else {}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxmps.plotting.flow import new_figure
-from jaxmps.runs import Ensemble
+from jaxmps.results import Ensemble
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

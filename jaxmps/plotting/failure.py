@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxmps.particles import Kind
+from jaxmps.flow import MESSAGES, Kind, Status
 from jaxmps.plotting.flow import Scene
-from jaxmps.run import Run
-from jaxmps.status import MESSAGES, Status
+from jaxmps.results import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxmps.particles import Kind
+from jaxmps.flow import Kind
 from jaxmps.plotting.colors import DUMMY, WALL, quantity, scale
-from jaxmps.run import Run
+from jaxmps.results import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

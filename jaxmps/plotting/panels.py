@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxmps.plotting.flow import Scene, heading, new_figure
-from jaxmps.run import Run
+from jaxmps.results import Run
 from jaxmps.validation import positive
 
 if TYPE_CHECKING:

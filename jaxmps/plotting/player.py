@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxmps.plotting.animation import indexed_pictures
 from jaxmps.plotting.flow import Scene, heading
-from jaxmps.run import Run
+from jaxmps.results import Run
 from jaxmps.validation import positive, whole
 
 # Everything is in the page: what it shows does not depend on a network, a kernel or a widget.

@@ -1,0 +1,166 @@
+"""Several runs as one compiled program: a run in each lane, lanes side by side on a device, devices side by side."""
+
+import time as clock
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from jaxmps._compilation import jit
+from jaxmps._types import Scalar
+from jaxmps.ensembles.members import Member, split
+from jaxmps.flow import FATAL, Case, Event, Outcome, Status
+from jaxmps.monitor import Log, empty_log, events
+from jaxmps.neighbors import grow
+from jaxmps.running import Clock, Loop, Meter, advance_chunk, happened, most_slots, next_chunk, start
+from jaxmps.stepping import State
+
+Look = Callable[[Case, State, Log], Any]
+_CHUNK_SECONDS = 1.0
+
+
+class Alone:
+    """One run by the program of `simulate`, bit for bit."""
+
+    def __init__(self, member: Member, dt: Scalar | None, look: Look):
+        self._loop = Loop(member.case, member.scheme, start(member.case, member.scheme), dt, member.key)
+        self._look = look
+
+    @property
+    def alive(self) -> np.ndarray:
+        return np.array([not self._loop.outcome.flags & FATAL])
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        return [self._loop.outcome]
+
+    def reach(self, target: float) -> None:
+        self._loop.reach(target, Meter(None, target))
+
+    def look(self) -> Any:
+        seen = jax.device_get(_look(self._look, self._loop.case, self._loop.state, self._loop.log))
+        return jax.tree.map(lambda x: np.asarray(x)[None], seen)
+
+
+class Lanes:
+    """Runs that differ in values alone. One that fails stays as it was and costs no more steps; lanes are filled up to
+    a multiple of the number of devices with copies that never move.
+    """
+
+    def __init__(self, batch: Sequence[Member], dt: Scalar | None, look: Look, devices: Sequence[Any]):
+        self.count, self._look, self._dt = len(batch), look, dt
+        self._mesh = Mesh(np.array(devices), ("lanes",)) if len(devices) > 1 else None
+        filled = [*batch, *[batch[0]] * (-len(batch) % len(devices))]
+        self._cases = [member.case.undescribed() for member in filled]
+        self._own, self._shared = split([(c, m.scheme) for c, m in zip(self._cases, filled, strict=True)])
+        self._state = _stacked([start(member.case, member.scheme) for member in filled])
+        self._keys = jnp.stack([member.key for member in filled])
+        self._log = _stacked([empty_log(self._cases[0].dim)] * len(filled))
+        self._going = np.arange(len(filled)) < self.count
+        self._notes: list[list[Event]] = [[] for _ in filled]
+        self._time, self._chunk, self._largest = float(self._state.time[0]), 16, jnp.zeros_like(self._state.time)
+        self._most = most_slots(self._cases[0], filled[0].scheme)
+
+    @property
+    def alive(self) -> np.ndarray:
+        return self._going[: self.count]
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        lanes = (jax.tree.map(lambda x, k=k: x[k], self._log) for k in range(self.count))
+        return [Outcome(events(log) + tuple(self._notes[k])) for k, log in enumerate(lanes)]
+
+    def look(self) -> Any:
+        seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, self._state, self._log))
+        return jax.tree.map(lambda x: x[: self.count], seen)
+
+    def reach(self, target: float) -> None:
+        """Steps of all that are alive until the time `target` [s]; each takes those that it would take alone."""
+        zero = jnp.zeros_like(self._state.time)
+        timer = Clock(jnp.where(self._going, target - self._time, 0.0), zero, zero, self._largest)
+        while np.any(np.asarray(timer.elapsed) < np.asarray(timer.duration)):
+            began = clock.perf_counter()
+            carry = (self._state, timer, self._log)
+            carry, status = _advance(
+                self._mesh, self._own, self._shared, carry, self._dt, self._keys, jnp.asarray(self._chunk)
+            )
+            self._state, timer, self._log = carry
+            self._largest = timer.largest
+            self._settle(np.asarray(status))
+            duration = jnp.where(self._going, timer.duration, timer.elapsed)
+            timer = timer._replace(duration=duration)
+            seconds = clock.perf_counter() - began
+            self._chunk = next_chunk(self._chunk, seconds, _CHUNK_SECONDS)
+        self._time = target
+        time = jnp.where(self._going, jnp.asarray(target, zero.dtype), self._state.time)
+        self._state = eqx.tree_at(lambda s: s.time, self._state, time)
+
+    def _settle(self, status: np.ndarray) -> None:
+        """Stops the lanes that have failed, and enlarges the tables of all if that of one is full."""
+        self._note(self._going & ((status & int(Status.TIME_STEP_COLLAPSED)) != 0), Status.TIME_STEP_COLLAPSED)
+        self._going &= (status & int(FATAL)) == 0
+        full = self._going & ((status & int(Status.TABLE_FULL)) != 0)
+        if not full.any():
+            return
+        states = map(self._state_of, range(len(full)))
+        grown = [grow(one.neighbors, one.particles.position) for one in states]
+        if grown[0].capacity > self._most:
+            self._note(full, Status.CLUSTERED)
+            self._going &= ~full
+        else:
+            self._state = eqx.tree_at(lambda s: s.neighbors, self._state, _stacked(grown))
+
+    def _note(self, lanes: np.ndarray, bit: Status) -> None:
+        for lane in np.flatnonzero(lanes):
+            self._notes[lane].append(happened(self._state_of(lane), bit, self._cases[lane].spacing))
+
+    def _state_of(self, lane: int) -> State:
+        return jax.tree.map(lambda x: x[lane], self._state)
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _over_lanes(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The function of each lane; of a single one without a leading axis, as if it were alone."""
+    if jax.tree.leaves(arguments)[0].shape[0] > 1:
+        return jax.vmap(function)(*arguments)
+    result = function(*jax.tree.map(lambda x: x[0], arguments))
+    return jax.tree.map(lambda x: x[None], result)
+
+
+def _advance_lanes(mesh, own, shared, carry, dt, keys, most_steps):
+    def on_a_device(shared, dt, most_steps, carry, keys, own):
+        def one(carry, key, own):
+            return advance_chunk(*eqx.combine(own, shared), carry, dt, key, most_steps)
+
+        return _over_lanes(one, carry, keys, own)
+
+    if mesh is not None:
+        each, every = PartitionSpec("lanes"), PartitionSpec()
+        specs = (every, every, every, each, each, each)
+        # Loops end on each device by themselves: nothing is varying or not across devices that has to be checked.
+        on_a_device = jax.shard_map(on_a_device, mesh=mesh, in_specs=specs, out_specs=each, check_vma=False)
+    return on_a_device(shared, dt, most_steps, carry, keys, own)
+
+
+_advance = jit(_advance_lanes, static_argnums=0)
+
+
+def _look_at(look, case, state, log):
+    return look(case, state, log)
+
+
+_look = jit(_look_at, static_argnums=0)
+
+
+def _look_at_lanes(look, own, shared, state, log):
+    return _over_lanes(lambda state, log, own: look(eqx.combine(own, shared)[0], state, log), state, log, own)
+
+
+_look_lanes = jit(_look_at_lanes, static_argnums=0)

@@ -1,0 +1,103 @@
+"""A case: everything about a flow that is not a numerical method."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from jaxmps._types import as_array
+from jaxmps.flow.box import Box
+from jaxmps.flow.motion import AbstractMotion, Still
+from jaxmps.flow.particles import Fluid, Kind, Particles
+from jaxmps.validation import positive
+
+
+class Case(eqx.Module):
+    """Particles at t = 0, materials, gravity [m/s²], spacing l0 [m], domain and `motion` of the walls.
+
+    `name` and `parameters` only describe the case in files and figures. Made by the functions in `jaxmps.cases`, or
+    by hand from arrays; the arrays are checked, and `ValueError` names what is wrong with them.
+    """
+
+    particles: Particles
+    fluids: Fluid
+    gravity: Float[Array, " d"] = eqx.field(converter=as_array)
+    spacing: float = eqx.field(static=True)
+    box: Box
+    name: str = eqx.field(static=True, default="custom")
+    parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+    motion: AbstractMotion = eqx.field(default_factory=Still)
+
+    def __check_init__(self):
+        positive("spacing", self.spacing, "m")
+        particles, box = self.particles, self.box
+        if particles.position.ndim != 2 or particles.position.shape[1] != box.dim:
+            raise ValueError(
+                f"particles.position must have the shape (particles, {box.dim}) of its box, got "
+                f"{particles.position.shape}"
+            )
+        if self.gravity.shape != (box.dim,):
+            raise ValueError(f"gravity must have {box.dim} components, got {self.gravity.shape}")
+        if self.fluids.density.shape != self.fluids.viscosity.shape:
+            raise ValueError(
+                "fluids.density and fluids.viscosity must have one entry for each phase, got "
+                f"{self.fluids.density.shape} and {self.fluids.viscosity.shape}"
+            )
+        jax.eval_shape(self.motion.place, particles.position, jnp.zeros(()))
+        _check_values(self)
+
+    def undescribed(self) -> "Case":
+        """Without `name` and `parameters`: cases that differ in these alone share what is compiled for one of them."""
+        bare = object.__new__(Case)  # not checked again: under a transformation that is not possible
+        for field in dataclasses.fields(self):
+            object.__setattr__(bare, field.name, getattr(self, field.name))
+        object.__setattr__(bare, "name", "custom")
+        object.__setattr__(bare, "parameters", ())
+        return bare
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return self.box.dim
+
+    @property
+    def density(self) -> Float[Array, " n"]:
+        """Density of each particle [kg/m³]."""
+        return self.fluids.density[self.particles.phase]
+
+    @property
+    def distinct_density(self) -> Float[Array, " #n"]:
+        """`density`, or its only value where there is one fluid: nothing has to be read for each pair then."""
+        return self.fluids.density if len(self.fluids.density) == 1 else self.density
+
+
+def _check_values(case: Case) -> None:
+    particles = case.particles
+    count, dim = particles.position.shape
+    shapes = {"velocity": (count, dim), "pressure": (count,), "kind": (count,), "phase": (count,)}
+    for name, shape in shapes.items():
+        if getattr(particles, name).shape != shape:
+            raise ValueError(f"particles.{name} must have the shape {shape}, got {getattr(particles, name).shape}")
+    leaves = (particles.position, particles.phase, particles.kind, case.fluids.density)
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
+        return  # under a transformation there are no values to check
+    position, phase, kind, density = (np.asarray(leaf) for leaf in leaves)
+    if not np.all(density > 0):
+        raise ValueError(f"fluids.density must be greater than zero, got {density} kg/m^3")
+    if phase.size and not (phase.min() >= 0 and phase.max() < density.size):
+        raise ValueError(
+            f"particles.phase must be between 0 and {density.size - 1}, got {phase.min()} to {phase.max()}"
+        )
+    inside = np.asarray(case.box.contains(particles.position))
+    outside = np.flatnonzero(~inside & (kind != Kind.REMOVED))
+    if outside.size:
+        place = tuple(position[outside[0]].tolist())
+        raise ValueError(
+            f"every particle must lie in the box from {case.box.lower} m to {case.box.upper} m, got particle "
+            f"{outside[0]} at {place} m and {outside.size - 1} more"
+        )

@@ -1,0 +1,32 @@
+"""The rivals of which a scheme takes one of each kind, but for operators and preconditioners."""
+
+from jaxmps.models.collision import AbstractCollision as AbstractCollision
+from jaxmps.models.collision import NoCollision as NoCollision
+from jaxmps.models.collision import PairCollision as PairCollision
+from jaxmps.models.free_surface import AbstractFreeSurface as AbstractFreeSurface
+from jaxmps.models.free_surface import AbstractSurfaceCondition as AbstractSurfaceCondition
+from jaxmps.models.free_surface import AtCenters as AtCenters
+from jaxmps.models.free_surface import DensityThreshold as DensityThreshold
+from jaxmps.models.free_surface import HalfSpacing as HalfSpacing
+from jaxmps.models.free_surface import OneSided as OneSided
+from jaxmps.models.interface import AbstractInterface as AbstractInterface
+from jaxmps.models.interface import OwnDensity as OwnDensity
+from jaxmps.models.interface import PairedDensity as PairedDensity
+from jaxmps.models.interface import mean_density as mean_density
+from jaxmps.models.source import AbstractSource as AbstractSource
+from jaxmps.models.source import Compression as Compression
+from jaxmps.models.source import CorrectedDivergence as CorrectedDivergence
+from jaxmps.models.source import DensityDeviation as DensityDeviation
+from jaxmps.models.source import ErrorCompensatingSource as ErrorCompensatingSource
+from jaxmps.models.source import HigherOrderSource as HigherOrderSource
+from jaxmps.models.stabilization import AbstractStabilizer as AbstractStabilizer
+from jaxmps.models.stabilization import DynamicStabilization as DynamicStabilization
+from jaxmps.models.stabilization import NoStabilization as NoStabilization
+from jaxmps.models.stabilization import Push as Push
+from jaxmps.models.stochastic import AbstractVelocityNoise as AbstractVelocityNoise
+from jaxmps.models.stochastic import DriftFreeVelocity as DriftFreeVelocity
+from jaxmps.models.stochastic import NoNoise as NoNoise
+from jaxmps.models.stochastic import StochasticVelocity as StochasticVelocity
+from jaxmps.models.viscosity import AbstractViscosity as AbstractViscosity
+from jaxmps.models.viscosity import Inviscid as Inviscid
+from jaxmps.models.viscosity import Viscous as Viscous

@@ -1,6 +1,0 @@
-"""A multigrid preconditioner for equations between particles, on a background grid."""
-
-from jaxmps.multigrid.grid import Grid, cover
-from jaxmps.multigrid.preconditioner import Multigrid, multigrid
-
-__all__ = ["Grid", "Multigrid", "cover", "multigrid"]

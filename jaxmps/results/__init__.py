@@ -1,0 +1,7 @@
+"""What a run and an ensemble leave behind, and how other libraries and notebooks see it."""
+
+from jaxmps.results.ensemble import Ensemble as Ensemble
+from jaxmps.results.run import Run as Run
+from jaxmps.results.views import at_frame as at_frame
+from jaxmps.results.views import needed as needed
+from jaxmps.results.views import padded as padded

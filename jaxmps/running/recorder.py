@@ -1,0 +1,136 @@
+"""Keeps the frames of a run, in memory or in a file, and makes the `Run`."""
+
+import time as clock
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from jaxmps._compilation import jit
+from jaxmps.description import describe, versions
+from jaxmps.flow import Case, Kind, Outcome, Status, mechanical_energy
+from jaxmps.io import Writer, read
+from jaxmps.monitor import BITS, Log
+from jaxmps.results import Run
+from jaxmps.scheme import Scheme
+from jaxmps.stepping import State
+
+_energy = jit(mechanical_energy)
+
+
+def fields(state: State) -> dict[str, Array]:
+    """What a frame keeps of the particles, by the names of a `Run`."""
+    p = state.particles
+    return {
+        "position": p.position,
+        "velocity": p.velocity,
+        "pressure": p.pressure,
+        "number_density": state.number_density,
+        "surface": state.surface,
+        "kind": p.kind,
+    }
+
+
+class Recorder:
+    """Takes the state at the times of the frames; with `out` it writes each frame at once."""
+
+    def __init__(
+        self,
+        case: Case,
+        scheme: Scheme,
+        settings: dict[str, Any],
+        out: str | Path | None,
+        overwrite: bool,
+        kept: Mapping[str, Any] | None = None,
+    ):
+        """`kept` is what another recorder had in `keep`, whose file `out` this one carries on."""
+        self._case, self._began = case, clock.perf_counter()
+        position = case.particles.position
+        self._fixed = {
+            "phase": np.asarray(case.particles.phase),
+            "density": np.asarray(case.density),
+            "spacing": case.spacing,
+        }
+        self._metadata = {
+            "case": {"name": case.name, **dict(case.parameters)},
+            "scheme": {"name": scheme.name, **describe(scheme)},
+            "run": {**settings, "precision": str(position.dtype)},
+            "versions": versions(),
+        }
+        self._times: list[float] = []
+        self._energies: list[float] = []
+        self._frames: list[dict[str, Any]] = []
+        self._writer = None
+        if kept is not None and out is not None:
+            self._began -= float(kept["seconds"])
+            self._writer = Writer.restored(out, kept["image"])
+            times, energies = self._writer.history()
+            self._times, self._energies = times.tolist(), energies.sum(axis=1).tolist()
+        elif out is not None:
+            frames = round(settings["until"] / settings["save_every"]) + 1
+            self._writer = Writer(
+                out,
+                **self._fixed,
+                dim=case.dim,
+                dtype=position.dtype,
+                metadata=self._metadata,
+                overwrite=overwrite,
+                frames=frames,
+            )
+
+    def keep(self) -> dict[str, Any]:
+        """What another recorder needs to carry on with the file: wall time so far [s], and the file's image."""
+        if self._writer is None:
+            raise ValueError("out must be given: only a run that is written to a file can be carried on")
+        return {"seconds": clock.perf_counter() - self._began, "image": self._writer.image()}
+
+    def save(self, state: State) -> None:
+        """Adds the state as a frame, unless it is the last one already."""
+        p, time = state.particles, float(state.time)
+        if self._times and self._times[-1] == time:
+            return
+        energy = _energy(p, self._case.density, self._case.gravity)
+        frame: dict[str, Any] = jax.device_get(fields(state))
+        frame["time"] = time
+        frame["energy"] = np.array([energy.kinetic, energy.potential], np.float64)
+        if self._writer is None:
+            self._frames.append(frame)
+        else:
+            self._writer.append(**frame)
+        self._times.append(time)
+        self._energies.append(float(frame["energy"].sum()))
+
+    def finish(self, state: State, log: Log, outcome: Outcome) -> Run:
+        """The run, with its summary."""
+        seconds = clock.perf_counter() - self._began
+        steps, kind = int(log.steps), np.asarray(state.particles.kind)
+        # Mean number of pairs that the stabilizer kept apart; energies that it and the noise gave in all [J/kg].
+        summary = {
+            "case": self._case.name,
+            "scheme": self._metadata["scheme"]["name"],
+            "particles": len(kind),
+            "fluid_particles": int(np.sum(kind == Kind.FLUID)),
+            "escaped": int(log.count[BITS.index(Status.ESCAPED)]),
+            "steps": steps,
+            "time": float(state.time),
+            "status": str(outcome),
+            "completed": outcome.completed,
+            "energy_start": self._energies[0],
+            "energy_end": self._energies[-1],
+            "max_speed": float(log.max_speed),
+            "closest_pair": float(log.closest) if np.isfinite(log.closest) else None,
+            "stabilized_pairs": float(log.stabilized) / max(steps, 1),
+            "stabilizer_work": float(log.work),
+            "noise_work": float(log.given),
+            "mean_residual": float(log.residual) / max(steps, 1),
+            "wall_seconds": seconds,
+            "particle_steps_per_second": steps * len(kind) / seconds,
+        }
+        if self._writer is not None:
+            self._writer.finish(outcome.to_dict(), summary)
+            return read(self._writer.path)
+        columns = {name: np.stack([f[name] for f in self._frames]) for name in self._frames[0]}
+        return Run(**columns, **self._fixed, status=outcome, summary=summary, metadata=self._metadata)

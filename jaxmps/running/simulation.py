@@ -1,0 +1,168 @@
+"""Running a case: `start` and the pure `rollout`; `simulate` is the host's loop around compiled chunks of steps."""
+
+import warnings
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from jaxmps._compilation import jit
+from jaxmps._types import Scalar
+from jaxmps.flow import FATAL, Case, SimulationWarning, Status
+from jaxmps.io import checkpoint_of
+from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
+from jaxmps.operators import pair_weight
+from jaxmps.results import Run
+from jaxmps.running.checkpoints import Checkpoints
+from jaxmps.running.loop import Loop, frame_times
+from jaxmps.running.progress import meter
+from jaxmps.running.recorder import Recorder
+from jaxmps.running.rescue import Rescue
+from jaxmps.scheme import Scheme
+from jaxmps.stepping import State, density_and_surface, largest_step
+from jaxmps.validation import positive
+
+_MOST_FRAMES = 1_000_000  # a mistyped time, not a plan
+
+
+def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
+    """The state at t = 0 with its neighbor list allocated. Not for use under jit.
+
+    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default a quarter
+    more than particles have neighbors in a uniform cloud. Raises `ValueError` if the box is too short along a periodic
+    axis: a particle would meet two images of another.
+    """
+    positive("skin", skin, "spacings")
+    for periodic, axis, length in zip(case.box.periodic, "xyz", case.box.lengths, strict=False):
+        if periodic and length < 2.0 * scheme.ratio * case.spacing:
+            raise ValueError(
+                f"the box must be at least two effective radii ({2.0 * scheme.ratio * case.spacing:g} m) long on its "
+                f"periodic axis {axis}, got {length:g} m"
+            )
+    if capacity is None:
+        capacity = usual_capacity(scheme.ratio + skin, case.dim)
+    radius = scheme.ratio * case.spacing
+    neighbors = allocate(case.particles.position, case.box, radius, skin * case.spacing, capacity)
+    time = jnp.zeros_like(case.particles.pressure[0])
+    n, surface = _first_look(case.undescribed(), scheme, neighbors)
+    return State(
+        particles=case.motion.drive(case.particles, case.particles.position, time),
+        neighbors=neighbors,
+        number_density=n,
+        surface=surface,
+        time=time,
+        step=jnp.zeros((), jnp.int32),
+        loss=jnp.zeros_like(case.particles.pressure[0]),
+    )
+
+
+@jit
+def _first_look(case: Case, scheme: Scheme, neighbors: Neighbors) -> tuple[Array, Array]:
+    near = pairs(neighbors, case.particles, case.spacing)
+    w = pair_weight(near, scheme.ratio * case.spacing)
+    return density_and_surface(case, scheme, case.particles, near, w)
+
+
+def simulate(
+    case: Case,
+    scheme: Scheme,
+    *,
+    until: float,
+    save_every: float | None = None,
+    dt: float | None = None,
+    key: Key[Array, ""] | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: bool | None = None,
+    start: State | None = None,
+    on_blowup: str = "stop",
+    checkpoint_every: float | None = None,
+) -> Run:
+    """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
+
+    Steps are as large as the scheme allows, or `dt` [s], shortened evenly to meet the times of the frames. A neighbor
+    table that is too small is enlarged and the step repeated. With `out` the frames go to a VTKHDF file as they are
+    made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
+    state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
+    same way. `start` carries on from another state. With `on_blowup="halve-dt"` a run that blows up goes back to its
+    last frame and on from there with half the time step, at most ten times in a row; each is an event of the status.
+
+    With `checkpoint_every` [s] all that the run goes on from is kept beside `out`, in a file with `.checkpoint` behind
+    its name: at the start and then at the first pause of the compiled steps, some tenths of a second of wall time
+    apart, at or after each multiple of that time. The steps are the same with and without. `resume` carries the run on
+    after a kill or a failure of the machine; the checkpoint of a run that has reached its end is removed.
+
+    Raises `ValueError` for times that are not positive, an unknown `on_blowup`, or checkpoints with "halve-dt",
+    `FileExistsError` for an existing file.
+    """
+    until = positive("until", until, "s")
+    save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
+    if until / save_every > _MOST_FRAMES:
+        raise ValueError(f"save_every must leave at most {_MOST_FRAMES} frames up to {until:g} s, got {save_every:g} s")
+    fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
+    key = jax.random.key(0) if key is None else key
+    state = _start(case, scheme) if start is None else start
+    begin = float(state.time)
+    if begin >= until:
+        raise ValueError(f"until must exceed the time of the start, {begin:g} s, got {until:g} s")
+    _check_time_step(case, scheme, state, fixed)
+    if checkpoint_every is not None:
+        positive("checkpoint_every", checkpoint_every, "s")
+        if out is None:
+            raise ValueError("checkpoint_every needs out, the file beside which checkpoints are kept, got None")
+        if on_blowup != "stop":  # a checkpoint does not know how often the time step was halved
+            raise ValueError(f"checkpoint_every must go with on_blowup stop, got {on_blowup}")
+    settings = {"begin": begin, "until": until, "save_every": save_every, "dt": dt, "on_blowup": on_blowup}
+    settings["key"] = np.asarray(jax.random.key_data(key)).tolist()
+    loop = Loop(case, scheme, state, fixed, key)
+    rescue = Rescue(loop, on_blowup)
+    recorder = Recorder(case, scheme, settings, out, overwrite)
+    recorder.save(state)
+    checkpoints = None
+    if out is not None:
+        checkpoint_of(Path(out)).unlink(missing_ok=True)  # of a run that was there before
+    if checkpoint_every is not None and out is not None:
+        checkpoints = Checkpoints(Path(out), loop, recorder, case, settings, checkpoint_every)
+    return march(rescue, recorder, checkpoints, frame_times(begin, until, save_every), 1, progress)
+
+
+def march(
+    rescue: Rescue,
+    recorder: Recorder,
+    checkpoints: Checkpoints | None,
+    times: Sequence[float],
+    first: int,
+    progress: bool | None,
+) -> Run:
+    """The rest of a run, from where its loop stands to the frame number `first` of those at `times` [s], and on."""
+    loop = rescue.loop
+    with meter(times[-1], progress) as bar:
+        try:
+            for frame in range(first, len(times)):
+                look = (lambda: None) if checkpoints is None else partial(checkpoints.look, frame)
+                rescue.reach(times[frame], bar, look)
+                recorder.save(loop.state)
+                if loop.outcome.flags & FATAL:
+                    break
+        except KeyboardInterrupt:
+            recorder.save(loop.state)
+            loop.note(Status.INTERRUPTED)
+    outcome = loop.outcome
+    if outcome.events:
+        warnings.warn(f"{outcome}. Advice: {outcome.advice}", SimulationWarning, stacklevel=3)
+    run = recorder.finish(loop.state, loop.log, outcome)
+    if checkpoints is not None and outcome.completed:
+        checkpoints.discard()
+    return run
+
+
+_start = start  # `simulate` has an argument of that name
+
+
+def _check_time_step(case: Case, scheme: Scheme, state: State, dt: Scalar | None) -> None:
+    if dt is None and not np.isfinite(float(largest_step(case, scheme, state.particles))):
+        raise ValueError("dt must be given (in s) for a case at rest without gravity: the scheme sets no limit")
