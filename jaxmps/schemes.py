@@ -4,7 +4,6 @@ import dataclasses
 
 from jaxmps._types import ArrayLike, as_array
 from jaxmps.models import (
-    AbstractStabilizer,
     CorrectedDivergence,
     DensityDeviation,
     DensityThreshold,
@@ -15,7 +14,6 @@ from jaxmps.models import (
     Inviscid,
     NoCollision,
     NoNoise,
-    NoStabilization,
     OneSided,
     OwnDensity,
     PairCollision,
@@ -23,7 +21,7 @@ from jaxmps.models import (
     StochasticVelocity,
     Viscous,
 )
-from jaxmps.operators import CMPS, AbstractGradient, Corrected, MinPressure
+from jaxmps.operators import CMPS, Corrected, MinPressure
 from jaxmps.scheme import Scheme, TimeStep
 from jaxmps.validation import between
 
@@ -92,10 +90,15 @@ def cmps_hs(
     """
     between("collision_distance", collision_distance, 0.0, 1.0)
     between("restitution", restitution, 0.0, 1.0)
-    published = _published(
-        "cmps_hs", CMPS(), NoStabilization(), beta, courant, own_density, viscous, ratio, tolerance, True
+    return dataclasses.replace(
+        mps_hs_gc(
+            beta=beta, courant=courant, own_density=own_density, viscous=viscous, ratio=ratio, tolerance=tolerance
+        ),
+        gradient=CMPS(),
+        collision=PairCollision(collision_distance, restitution),
+        clip_pressure=True,
+        name="cmps_hs",
     )
-    return dataclasses.replace(published, collision=PairCollision(collision_distance, restitution))
 
 
 def mps_hs_gc(
@@ -114,8 +117,24 @@ def mps_hs_gc(
     `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the pressure solve. Raises `ValueError` for a value out of its
     range.
     """
-    gradient, stabilizer = Corrected(), NoStabilization()
-    return _published("mps_hs_gc", gradient, stabilizer, beta, courant, own_density, viscous, ratio, tolerance, False)
+    between("beta", beta, 0.0, 1.0)
+    between("courant", courant, 0.0, 1.0)
+    between("ratio", ratio, 1.5, 6.0, "spacings")
+    between("tolerance", tolerance, 1e-15, 0.1)
+    return Scheme(
+        viscosity=Viscous() if viscous else Inviscid(),
+        noise=NoNoise(),
+        free_surface=DensityThreshold(beta),
+        source=HigherOrderSource(),
+        gradient=Corrected(),
+        collision=NoCollision(),
+        interface=OwnDensity() if own_density else PairedDensity(),
+        time_step=TimeStep(courant),
+        clip_pressure=False,
+        ratio=ratio,
+        tolerance=tolerance,
+        name="mps_hs_gc",
+    )
 
 
 def mps_hs_gc_ds(
@@ -132,9 +151,13 @@ def mps_hs_gc_ds(
 
     `alpha_ds` in spacings (0 to 1.2), by default 1 − `courant` ([T13] Eq. 9); the others are those of `mps_hs_gc`.
     """
-    gradient, stabilizer = Corrected(), _stabilizer(alpha_ds, courant)
-    name = "mps_hs_gc_ds"
-    return _published(name, gradient, stabilizer, beta, courant, own_density, viscous, ratio, tolerance, False)
+    return dataclasses.replace(
+        mps_hs_gc(
+            beta=beta, courant=courant, own_density=own_density, viscous=viscous, ratio=ratio, tolerance=tolerance
+        ),
+        stabilizer=_stabilizer(alpha_ds, courant),
+        name="mps_hs_gc_ds",
+    )
 
 
 def mps_cd_gc_ds(
@@ -158,12 +181,13 @@ def mps_cd_gc_ds(
     """
     between("kept_velocity", kept_velocity, 0.0, 1.0)
     between("restoring", restoring, 0.0, 1.0)
-    stabilizer = _stabilizer(alpha_ds, courant, kept_velocity)
-    published = _published(
-        "mps_cd_gc_ds", Corrected(), stabilizer, 0.97, courant, own_density, viscous, ratio, tolerance, False
-    )
     return dataclasses.replace(
-        published, source=CorrectedDivergence(restoring), free_surface=OneSided(), surface_condition=HalfSpacing()
+        mps_hs_gc(courant=courant, own_density=own_density, viscous=viscous, ratio=ratio, tolerance=tolerance),
+        source=CorrectedDivergence(restoring),
+        free_surface=OneSided(),
+        surface_condition=HalfSpacing(),
+        stabilizer=_stabilizer(alpha_ds, courant, kept_velocity),
+        name="mps_cd_gc_ds",
     )
 
 
@@ -184,37 +208,3 @@ def _stabilizer(alpha_ds: ArrayLike | None, courant: ArrayLike, kept_velocity: A
     alpha_ds = 1.0 - as_array(courant) if alpha_ds is None else alpha_ds
     between("alpha_ds", alpha_ds, 0.0, 1.2, "spacings")
     return DynamicStabilization(alpha_ds, kept_velocity)
-
-
-def _published(
-    name: str,
-    gradient: AbstractGradient,
-    stabilizer: AbstractStabilizer,
-    beta: ArrayLike,
-    courant: ArrayLike,
-    own_density: bool,
-    viscous: bool,
-    ratio: float,
-    tolerance: float,
-    clip_pressure: bool,
-) -> Scheme:
-    """What the schemes of [T13] share: higher-order source, no collisions, one effective radius (it gives none)."""
-    between("beta", beta, 0.0, 1.0)
-    between("courant", courant, 0.0, 1.0)
-    between("ratio", ratio, 1.5, 6.0, "spacings")
-    between("tolerance", tolerance, 1e-15, 0.1)
-    return Scheme(
-        viscosity=Viscous() if viscous else Inviscid(),
-        noise=NoNoise(),
-        free_surface=DensityThreshold(beta),
-        source=HigherOrderSource(),
-        gradient=gradient,
-        collision=NoCollision(),
-        interface=OwnDensity() if own_density else PairedDensity(),
-        stabilizer=stabilizer,
-        time_step=TimeStep(courant),
-        clip_pressure=clip_pressure,
-        ratio=ratio,
-        tolerance=tolerance,
-        name=name,
-    )

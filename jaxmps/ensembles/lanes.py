@@ -2,7 +2,8 @@
 
 import time as clock
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,12 +14,12 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.ensembles.members import Member, split
-from jaxmps.flow import FATAL, Case, Event, Outcome, Status
+from jaxmps.flow import FATAL, Case, Outcome
 from jaxmps.monitor import Log, empty_log, events
-from jaxmps.neighbors import grow
-from jaxmps.running import Clock, Loop, Meter, advance_chunk, happened, most_slots, next_chunk, start
+from jaxmps.running import Clock, Loop, Meter, Upkeep, advance_chunk, start
 from jaxmps.stepping import State
 
+T = TypeVar("T")
 Look = Callable[[Case, State, Log], Any]
 _CHUNK_SECONDS = 1.0
 
@@ -60,19 +61,17 @@ class Lanes:
         self._state = _stacked([start(member.case, member.scheme) for member in filled])
         self._keys = jnp.stack([member.key for member in filled])
         self._log = _stacked([empty_log(self._cases[0].dim)] * len(filled))
-        self._going = np.arange(len(filled)) < self.count
-        self._notes: list[list[Event]] = [[] for _ in filled]
-        self._time, self._chunk, self._largest = float(self._state.time[0]), 16, jnp.zeros_like(self._state.time)
-        self._most = most_slots(self._cases[0], filled[0].scheme)
+        self._time, self._largest = float(self._state.time[0]), jnp.zeros_like(self._state.time)
+        self._upkeep = Upkeep(self._cases[0], filled[0].scheme, len(filled))
+        self._upkeep.going[self.count :] = False
 
     @property
     def alive(self) -> np.ndarray:
-        return self._going[: self.count]
+        return self._upkeep.going[: self.count]
 
     @property
     def outcomes(self) -> list[Outcome]:
-        lanes = (jax.tree.map(lambda x, k=k: x[k], self._log) for k in range(self.count))
-        return [Outcome(events(log) + tuple(self._notes[k])) for k, log in enumerate(lanes)]
+        return [Outcome(events(_lane(self._log, k)) + self._upkeep.notes[k]) for k in range(self.count)]
 
     def look(self) -> Any:
         seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, self._state, self._log))
@@ -80,46 +79,26 @@ class Lanes:
 
     def reach(self, target: float) -> None:
         """Steps of all that are alive until the time `target` [s]; each takes those that it would take alone."""
-        zero = jnp.zeros_like(self._state.time)
-        timer = Clock(jnp.where(self._going, target - self._time, 0.0), zero, zero, self._largest)
+        zero, upkeep = jnp.zeros_like(self._state.time), self._upkeep
+        timer = Clock(jnp.where(upkeep.going, target - self._time, 0.0), zero, zero, self._largest)
         while np.any(np.asarray(timer.elapsed) < np.asarray(timer.duration)):
             began = clock.perf_counter()
-            carry = (self._state, timer, self._log)
-            carry, status = _advance(
-                self._mesh, self._own, self._shared, carry, self._dt, self._keys, jnp.asarray(self._chunk)
-            )
+            carry, steps = (self._state, timer, self._log), jnp.asarray(upkeep.steps)
+            carry, status = _advance(self._mesh, self._own, self._shared, carry, self._dt, self._keys, steps)
             self._state, timer, self._log = carry
             self._largest = timer.largest
-            self._settle(np.asarray(status))
-            duration = jnp.where(self._going, timer.duration, timer.elapsed)
-            timer = timer._replace(duration=duration)
-            seconds = clock.perf_counter() - began
-            self._chunk = next_chunk(self._chunk, seconds, _CHUNK_SECONDS)
+            grown = upkeep.after(np.asarray(status), lambda lane: _lane(self._state, lane))
+            if grown is not None:
+                self._state = eqx.tree_at(lambda s: s.neighbors, self._state, _stacked(grown))
+            timer = timer._replace(duration=jnp.where(upkeep.going, timer.duration, timer.elapsed))
+            upkeep.pace(clock.perf_counter() - began, _CHUNK_SECONDS)
         self._time = target
-        time = jnp.where(self._going, jnp.asarray(target, zero.dtype), self._state.time)
+        time = jnp.where(upkeep.going, jnp.asarray(target, zero.dtype), self._state.time)
         self._state = eqx.tree_at(lambda s: s.time, self._state, time)
 
-    def _settle(self, status: np.ndarray) -> None:
-        """Stops the lanes that have failed, and enlarges the tables of all if that of one is full."""
-        self._note(self._going & ((status & int(Status.TIME_STEP_COLLAPSED)) != 0), Status.TIME_STEP_COLLAPSED)
-        self._going &= (status & int(FATAL)) == 0
-        full = self._going & ((status & int(Status.TABLE_FULL)) != 0)
-        if not full.any():
-            return
-        states = map(self._state_of, range(len(full)))
-        grown = [grow(one.neighbors, one.particles.position) for one in states]
-        if grown[0].capacity > self._most:
-            self._note(full, Status.CLUSTERED)
-            self._going &= ~full
-        else:
-            self._state = eqx.tree_at(lambda s: s.neighbors, self._state, _stacked(grown))
 
-    def _note(self, lanes: np.ndarray, bit: Status) -> None:
-        for lane in np.flatnonzero(lanes):
-            self._notes[lane].append(happened(self._state_of(lane), bit, self._cases[lane].spacing))
-
-    def _state_of(self, lane: int) -> State:
-        return jax.tree.map(lambda x: x[lane], self._state)
+def _lane(tree: T, lane: int) -> T:
+    return jax.tree.map(lambda x: x[lane], tree)
 
 
 def _stacked(trees: Sequence[Any]) -> Any:
@@ -141,12 +120,12 @@ def _advance_lanes(mesh, own, shared, carry, dt, keys, most_steps):
 
         return _over_lanes(one, carry, keys, own)
 
-    if mesh is not None:
-        each, every = PartitionSpec("lanes"), PartitionSpec()
-        specs = (every, every, every, each, each, each)
-        # Loops end on each device by themselves: nothing is varying or not across devices that has to be checked.
-        on_a_device = jax.shard_map(on_a_device, mesh=mesh, in_specs=specs, out_specs=each, check_vma=False)
-    return on_a_device(shared, dt, most_steps, carry, keys, own)
+    each, every = PartitionSpec("lanes"), PartitionSpec()
+    specs = (every, every, every, each, each, each)
+    # Loops end on each device by themselves: nothing is varying or not across devices that has to be checked.
+    spread = partial(jax.shard_map, mesh=mesh, in_specs=specs, out_specs=each, check_vma=False)
+    run = on_a_device if mesh is None else spread(on_a_device)
+    return run(shared, dt, most_steps, carry, keys, own)
 
 
 _advance = jit(_advance_lanes, static_argnums=0)

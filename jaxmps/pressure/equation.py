@@ -39,24 +39,35 @@ class PoissonOperator(AbstractOperator):
 def poisson_operator(
     pairs: Pairs, coefficient: Float[Array, "n k"], density: Float[Array, " #n"], unknown: Bool[Array, " n"]
 ) -> PoissonOperator:
-    """The matrix of the PPE from the `coefficient` c_ij of the Laplacian; `unknown` marks the rows to solve for.
+    """The matrix of the PPE from the `coefficient` c_ij of the Laplacian; `unknown` marks the rows to solve for."""
+    conductance = _without_own_image(coefficient, pairs) * (1.0 / mean_density(density, pairs))
+    rows = jnp.where(unknown[:, None], conductance, 0.0)
+    coupling = jnp.where(pairs.at_j(unknown), rows, 0.0)
+    diagonal, sink = jnp.sum(rows, axis=-1), jnp.sum(rows - coupling, axis=-1)
+    tie = _tie(rows, diagonal, sink, pairs.dim)
+    return PoissonOperator(pairs.j.T, coupling.T, sink + tie, _never_empty(diagonal + tie))
+
+
+def _without_own_image(coefficient: Float[Array, "n k"], pairs: Pairs) -> Float[Array, "n k"]:
+    """A particle's image behind a mirror has its own pressure: between the two there is no difference."""
+    return coefficient if pairs.own_image is None else jnp.where(pairs.own_image, 0.0, coefficient)
+
+
+def _tie(
+    rows: Float[Array, "n k"], diagonal: Float[Array, " n"], sink: Float[Array, " n"], dim: int
+) -> Float[Array, " n"]:
+    """What ties particles with at most D + 1 partners weakly to zero pressure.
 
     A few particles so close to each other that none of them passes for surface are a part of the flow without a known
-    pressure. A particle with at most D + 1 partners is therefore tied weakly to zero pressure: else one such pair in
-    the spray makes the matrix singular and the whole solve fail.
+    pressure: one such pair in the spray makes the matrix singular and the whole solve fail.
     """
-    if pairs.own_image is not None:  # it has i's own pressure
-        coefficient = jnp.where(pairs.own_image, 0.0, coefficient)
-    conductance = coefficient * (1.0 / mean_density(density, pairs))
-    rows = jnp.where(unknown[:, None], conductance, 0.0)
-    diagonal = jnp.sum(rows, axis=-1)
-    coupling = jnp.where(pairs.at_j(unknown), rows, 0.0)
-    few = jnp.sum(rows > 0, axis=-1) <= pairs.dim + 1
-    sink = jnp.sum(rows - coupling, axis=-1)
-    tie = jnp.where(few & (sink == 0), _TIE * diagonal, 0.0)
-    sink, diagonal = sink + tie, diagonal + tie
-    # A particle without any partner keeps p = S/1 harmlessly: it feels no pressure force.
-    return PoissonOperator(pairs.j.T, coupling.T, sink, jnp.where(diagonal > 0, diagonal, 1.0))
+    few = jnp.sum(rows > 0, axis=-1) <= dim + 1
+    return jnp.where(few & (sink == 0), _TIE * diagonal, 0.0)
+
+
+def _never_empty(diagonal: Float[Array, " n"]) -> Float[Array, " n"]:
+    """A particle without any partner keeps p = S/1, which is harmless: it feels no pressure force."""
+    return jnp.where(diagonal > 0, diagonal, 1.0)
 
 
 class PressureEquation(NamedTuple):

@@ -4,9 +4,6 @@ from jaxmps.running.loop import Clock as Clock
 from jaxmps.running.loop import Loop as Loop
 from jaxmps.running.loop import advance_chunk as advance_chunk
 from jaxmps.running.loop import frame_times as frame_times
-from jaxmps.running.loop import happened as happened
-from jaxmps.running.loop import most_slots as most_slots
-from jaxmps.running.loop import next_chunk as next_chunk
 from jaxmps.running.progress import Meter as Meter
 from jaxmps.running.progress import counter as counter
 from jaxmps.running.progress import tally as tally
@@ -16,3 +13,4 @@ from jaxmps.running.restart import resume as resume
 from jaxmps.running.rollout import rollout as rollout
 from jaxmps.running.simulation import simulate as simulate
 from jaxmps.running.simulation import start as start
+from jaxmps.running.upkeep import Upkeep as Upkeep

@@ -18,7 +18,7 @@ from jaxmps.flow import Case
 from jaxmps.io import checkpoint_of, read_checkpoint, sync, write_checkpoint
 from jaxmps.monitor import empty_log
 from jaxmps.neighbors import allocate
-from jaxmps.running.loop import Clock, Loop
+from jaxmps.running.loop import Clock, Loop, Snapshot
 from jaxmps.running.recorder import Recorder
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State
@@ -53,12 +53,12 @@ class Checkpoints:
         time = float(self._loop.state.time)
         if time < self._due:
             return
-        kept, list_now = self._recorder.keep(), self._loop.state.neighbors
+        kept, here = self._recorder.keep(), self._loop.snapshot
+        list_now = here.state.neighbors
         shape = {"capacity": list_now.capacity, "cutoff": list_now.cutoff, "skin": list_now.skin}
         header = {**self._header, "frame": frame, "seconds": kept["seconds"], "list": shape}
-        carry = (self._loop.state, self._loop.timer, self._loop.log)
         image = {f"image.{name}": array for name, array in kept["image"].items()}
-        write_checkpoint(self._path, header, {**_named(carry), **image})
+        write_checkpoint(self._path, header, {**_named(here.carry), **image})
         self._due = next_multiple(self._every, time)
 
     def discard(self) -> None:
@@ -103,7 +103,7 @@ class Checkpoint:
         key = jnp.asarray(self.run["key"], jnp.uint32)
         dt = None if self.run["dt"] is None else jnp.asarray(self.run["dt"], float)
         loop = Loop(case, scheme, state, dt, jax.random.wrap_key_data(key, impl=self.run["key_type"]))
-        loop.timer, loop.log = timer, log
+        loop.put_back(Snapshot(state, timer, log))
         return loop
 
 

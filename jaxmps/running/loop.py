@@ -1,31 +1,27 @@
 """The host's loop of a run: chunks of compiled steps up to the next frame, and what is to be done between them."""
 
-import dataclasses
 import math
 import time as clock
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
-from scipy.spatial import KDTree
 
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.flow import FATAL, Case, Event, Outcome, Status
-from jaxmps.kernels import lattice
 from jaxmps.monitor import Log, empty_log, events, extend
-from jaxmps.neighbors import grow
 from jaxmps.running.progress import Meter
+from jaxmps.running.upkeep import Upkeep, happened
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State, largest_step, step
 
 _COLLAPSE = 1e-3  # of the largest time step so far: speeds a thousand times as high are not a flow any more
 _CHUNK_SECONDS = 0.4  # wall time between two looks at the keyboard and the progress bar
-_FEWEST = 4  # steps in a call: its temporaries, a gigabyte for 500 000 particles, are fresh memory in each call
 
 
 class Clock(NamedTuple):
@@ -43,23 +39,52 @@ class Clock(NamedTuple):
 Progress: TypeAlias = tuple[State, Clock, Log]
 
 
+class Snapshot(NamedTuple):
+    """All that a run goes on from: what the compiled steps carry, and the events noted beside their log."""
+
+    state: State
+    timer: Clock
+    log: Log
+    notes: tuple[Event, ...] = ()
+
+    @property
+    def carry(self) -> Progress:
+        return self.state, self.timer, self.log
+
+
 class Loop:
-    """The host's loop: chunks of compiled steps, with repair of the neighbor table in between."""
+    """The host's loop of a run: chunks of compiled steps, with `Upkeep` in between."""
 
     def __init__(self, case: Case, scheme: Scheme, state: State, dt: Scalar | None, key: Array):
-        self.case, self.scheme, self.state, self.dt, self.key = case.undescribed(), scheme, state, dt, key
-        self.log = empty_log(case.dim)
-        self._noted: tuple[Event, ...] = ()
-        self._chunk, zero = 16, jnp.zeros_like(state.time)
-        self.timer = Clock(zero, zero, zero, zero)
-        self._most = most_slots(case, scheme)
+        self.case, self.scheme, self.dt, self.key = case.undescribed(), scheme, dt, key
+        zero = jnp.zeros_like(state.time)
+        self._carry: Progress = (state, Clock(zero, zero, zero, zero), empty_log(case.dim))
+        self._upkeep = Upkeep(case, scheme)
+
+    @property
+    def state(self) -> State:
+        return self._carry[0]
+
+    @property
+    def log(self) -> Log:
+        return self._carry[2]
 
     @property
     def outcome(self) -> Outcome:
-        return Outcome(events(self.log) + self._noted)
+        return Outcome(events(self.log) + self._upkeep.notes[0])
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """Where the run stands; it can be put back there, or another loop of the same run."""
+        return Snapshot(*self._carry, self._upkeep.notes[0])
+
+    def put_back(self, snapshot: Snapshot) -> None:
+        """Goes on from a snapshot. How many steps a chunk has leaves no trace in a run, and is not part of it."""
+        self._carry, self._upkeep.notes[0] = snapshot.carry, snapshot.notes
+        self._upkeep.going[0] = not self.outcome.flags & FATAL
 
     def note(self, bit: Status) -> None:
-        self._noted = (*self._noted, happened(self.state, bit, self.case.spacing))
+        self._upkeep.note(0, happened(self.state, bit, self.case.spacing))
 
     def halve(self, event: Event) -> None:
         """Takes half the time step from here on, fixed or adaptive, and notes why."""
@@ -68,52 +93,37 @@ class Loop:
             self.scheme = eqx.tree_at(lambda s: s.time_step, self.scheme, rule)
         else:
             self.dt = 0.5 * self.dt
-        self.timer = self.timer._replace(largest=0.5 * self.timer.largest)
-        self._noted = (*self._noted, event)
+        state, timer, log = self._carry
+        self._carry = state, timer._replace(largest=0.5 * timer.largest), log
+        self._upkeep.note(0, event)
 
     def reach(self, target: float, bar: Meter, look: Callable[[], None] = lambda: None) -> None:
         """Steps until the time `target` [s], or to the last good state before a failure.
 
-        Before each chunk it calls `look`, which may keep state, timer and log: a loop that is given them goes on there.
+        Before each chunk it calls `look`, which may keep a snapshot.
         """
-        zero = jnp.zeros((), self.state.time.dtype)
-        if float(self.timer.elapsed) >= float(self.timer.duration):
-            self.timer = Clock(zero + (target - float(self.state.time)), zero, zero, self.timer.largest)
-        while float(self.timer.elapsed) < float(self.timer.duration):
+        state, timer, log = self._carry
+        if float(timer.elapsed) >= float(timer.duration):
+            zero = jnp.zeros_like(state.time)
+            self._carry = state, Clock(zero + (target - float(state.time)), zero, zero, timer.largest), log
+        while float(self._carry[1].elapsed) < float(self._carry[1].duration):
             look()
             began = clock.perf_counter()
-            carry = (self.state, self.timer, self.log)
-            carry, status = _advance(self.case, self.scheme, carry, self.dt, self.key, jnp.asarray(self._chunk))
-            self.state, self.timer, self.log = carry
-            bar.update(float(self.state.time), float(self.timer.dt), float(self.log.max_speed))
-            if int(status) & Status.TIME_STEP_COLLAPSED:
-                self.note(Status.TIME_STEP_COLLAPSED)
-            if int(status) & FATAL:
+            steps = jnp.asarray(self._upkeep.steps)
+            self._carry, status = _advance(self.case, self.scheme, self._carry, self.dt, self.key, steps)
+            state, timer, log = self._carry
+            bar.update(float(state.time), float(timer.dt), float(log.max_speed))
+            grown = self._upkeep.after(np.asarray(status)[None], lambda _: self.state)
+            if not self._upkeep.going[0]:
                 return
-            if int(status) & Status.TABLE_FULL and not self._enlarge():
-                return
-            seconds = clock.perf_counter() - began
-            self._chunk = next_chunk(self._chunk, seconds, _CHUNK_SECONDS)
-        time = jnp.asarray(target, self.state.time.dtype)
-        self.state = eqx.tree_at(lambda s: s.time, self.state, time)
+            if grown is not None:
+                self._set(lambda s: s.neighbors, grown[0])
+            self._upkeep.pace(clock.perf_counter() - began, _CHUNK_SECONDS)
+        self._set(lambda s: s.time, jnp.asarray(target, self.state.time.dtype))
 
-    def _enlarge(self) -> bool:
-        neighbors = grow(self.state.neighbors, self.state.particles.position)
-        if neighbors.capacity > self._most:
-            self.note(Status.CLUSTERED)
-            return False
-        self.state = eqx.tree_at(lambda s: s.neighbors, self.state, neighbors)
-        return True
-
-
-def next_chunk(steps: int, seconds: float, wanted: float) -> int:
-    """Steps of the next chunk, which is to take the time `wanted` [s], after one of so many that took `seconds`."""
-    return int(np.clip(steps * wanted / seconds, _FEWEST, min(2 * steps, 4096)))
-
-
-def most_slots(case: Case, scheme: Scheme) -> int:
-    """Slots of a neighbor table beyond which it is not enlarged: particles have collapsed into clusters then."""
-    return min(40 * lattice(scheme.ratio, case.dim).neighbors, len(case.particles.kind))
+    def _set(self, where: Callable[[State], Any], value: Any) -> None:
+        state, timer, log = self._carry
+        self._carry = eqx.tree_at(where, state, value), timer, log
 
 
 def frame_times(begin: float, until: float, save_every: float) -> list[float]:
@@ -121,24 +131,6 @@ def frame_times(begin: float, until: float, save_every: float) -> list[float]:
     first = math.floor(begin / save_every + 1e-6) + 1
     last = math.ceil(until / save_every - 1e-9)
     return [begin, *(min(frame * save_every, until) for frame in range(first, last + 1))]
-
-
-def happened(state: State, bit: Status, spacing: float) -> Event:
-    """The event that a run ended with at this state: of a collapsed time step with the fastest particle, of clusters
-    with one of the closest.
-    """
-    event = Event(int(bit), float(state.time), int(state.step))
-    if bit not in (Status.TIME_STEP_COLLAPSED, Status.CLUSTERED):
-        return event
-    fluid = np.flatnonzero(state.particles.fluid)
-    position = np.asarray(state.particles.position)[fluid]
-    if bit == Status.TIME_STEP_COLLAPSED:
-        speed = np.linalg.norm(np.asarray(state.particles.velocity)[fluid], axis=1)
-        found, value = int(np.argmax(speed)), float(speed.max())
-    else:
-        distance = KDTree(position).query(position, k=2)[0][:, 1]
-        found, value = int(np.argmin(distance)), float(distance.min()) / spacing
-    return dataclasses.replace(event, particle=int(fluid[found]), position=tuple(position[found].tolist()), value=value)
 
 
 def advance_chunk(

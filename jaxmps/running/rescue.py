@@ -27,13 +27,13 @@ class Rescue:
     def reach(self, target: float, bar: Meter, look: Callable[[], None] = lambda: None) -> None:
         """As `Loop.reach`: up to the time `target` [s], or to the last good state before a failure for good."""
         loop, before = self.loop, self._halvings
-        last_frame = dict(vars(loop))  # all of it is immutable
+        last_frame = loop.snapshot
         loop.reach(target, bar, look)
         while self._halves and self._in_a_row < _MOST and (failure := loop.outcome.fatal) is not None:
             self._halvings, self._in_a_row = self._halvings + 1, self._in_a_row + 1
-            vars(loop).update(last_frame)
+            loop.put_back(last_frame)
             loop.halve(dataclasses.replace(failure, status=int(Status.HALVED), value=0.5**self._halvings, count=1))
-            last_frame = dict(vars(loop))
+            last_frame = loop.snapshot
             loop.reach(target, bar, look)
         if self._halvings == before:
             self._in_a_row = 0
