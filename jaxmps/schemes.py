@@ -1,4 +1,7 @@
-"""The named schemes, those of the papers: each a choice of one model of each kind."""
+"""The named schemes, those of the papers: each a choice of one model of each kind.
+
+All in one file, longer than others, so that they are read side by side.
+"""
 
 import dataclasses
 

@@ -16,7 +16,7 @@ import pytest
 import jaxmps as mps
 from benchmarks import kills
 from jaxmps.command_line import main
-from jaxmps.io import _image, checkpoint_of, read_checkpoint, write_checkpoint
+from jaxmps.io import checkpoint_of, image, read_checkpoint, write_checkpoint
 from jaxmps.io.checkpoint import VERSION
 from jaxmps.running import checkpoints, loop, restart
 
@@ -176,7 +176,7 @@ def test_a_file_torn_by_the_kill_is_mended(copy, half, end):
     path, rng = copy / "run.vtkhdf", np.random.default_rng(0)
     whole, frames_end = path.stat().st_size, 0
     with h5py.File(path, "r") as file:
-        kept = [range(begin, end) for begin, end in _image._chunks(file["VTKHDF"])]
+        kept = [range(begin, end) for begin, end in image._chunks(file["VTKHDF"])]
         frames_end = max(piece.stop for piece in kept)
     torn = bytearray(rng.bytes(whole + (100_000 if end == "grown" else 0)))
     for piece in kept:

@@ -8,7 +8,8 @@ from scipy.spatial import cKDTree
 
 from jaxmps import Box
 from jaxmps.neighbors import allocate, grow, jax_md, update
-from jaxmps.neighbors.search import search, window_size
+from jaxmps.neighbors.cells import window_size
+from jaxmps.neighbors.search import search
 
 REACH = 0.25
 N = 120

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 
 from jaxmps import cases, schemes
 from jaxmps.description import describe
-from jaxmps.flow import Case, Kind
+from jaxmps.flow import Case
 from jaxmps.scheme import Scheme
-from jaxmps.validation import between, one_of, positive
+from jaxmps.validation import between, one_of
 
 Factory = Callable[..., Any]
 
@@ -103,37 +103,6 @@ def of_noise() -> dict[str, inspect.Parameter]:
     """The arguments of `schemes.stochastic`, which any scheme can be given to."""
     known = arguments(schemes.stochastic)
     return {name: given for name, given in known.items() if given.kind is given.KEYWORD_ONLY}
-
-
-def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those options of a run that are given, not None; `ValueError` unless they follow the rules for them."""
-    given = {name: value for name, value in options.items() if value is not None}
-    for name in ("until", "save_every", "dt", "checkpoint_every"):
-        if name in given:
-            positive(name.replace("_", "-"), given[name], "s")
-    if "jitter" in given:
-        between("jitter", given["jitter"], 0.0, 0.3, "spacings")
-    if not 0 <= given.get("seed", 0) < 2**32:
-        raise ValueError(f"seed must be between 0 and {2**32 - 1}, got {given['seed']}")
-    if "precision" in given:
-        one_of("precision", given["precision"], ("single", "double"))
-    return given
-
-
-def types_of(text: str) -> dict[int, tuple[Kind, int]]:
-    """The meaning of a .prof's types from text such as `0=fluid,1=fluid:1,2=wall`."""
-    found = {}
-    for entry in text.split(","):
-        number, _, meaning = entry.partition("=")
-        kind, _, phase = meaning.strip().partition(":")
-        try:
-            found[int(number)] = (Kind[kind.upper()], int(phase or 0))
-        except (KeyError, ValueError):
-            kinds = ", ".join(kind.name.lower() for kind in Kind)
-            raise ValueError(
-                f"--types must be NUMBER=KIND or NUMBER=KIND:PHASE, with KIND one of {kinds}, got {entry}"
-            ) from None
-    return found
 
 
 def _factories(module: Any, result: type) -> dict[str, Factory]:

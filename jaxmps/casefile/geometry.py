@@ -1,6 +1,5 @@
 """The tables of an own geometry made into an ordinary `Case`."""
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import shapely
 
-from jaxmps.casefile import plane, solid
-from jaxmps.casefile.models import Body, OwnFile, Shape, Wall
+from jaxmps.casefile import plane, plane_walls, solid
+from jaxmps.casefile.fitting import Shapes, bodies, check_inside, checked
+from jaxmps.casefile.models import OwnFile
 from jaxmps.casefile.motion import motion
 from jaxmps.casefile.parsing import CaseFileError, attributed
+from jaxmps.casefile.shapes import Body, Wall
 from jaxmps.cases.lattice import dummy_layers, materials
 from jaxmps.flow import Box, Case, Kind, at_rest
-
-_SHAPES = {2: ("polygon", "box", "circle"), 3: ("box", "sphere", "stl")}
 
 
 class Layout(NamedTuple):
@@ -35,7 +34,7 @@ def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None)
     """The case of the file, with `spacing` [m] instead of its own if given. Raises `CaseFileError`."""
     spacing = file.case.spacing if spacing is None else spacing
     dim = len(file.case.gravity)
-    shapes = _checked(file, path, dim)
+    shapes = checked(file, path, dim)
     counts = [_layers(wall, ratio, spacing) for wall in file.wall]
     arrange = _in_plane if dim == 2 else _in_space
     layout = arrange(file, shapes, counts, spacing)
@@ -52,7 +51,7 @@ def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None)
     box = _domain(
         file, path, position, np.concatenate([np.reshape(bounds, (2, dim)) for bounds in shapes.bounds]), spacing
     )
-    _check_inside(path, box, position, [len(points) for points in layout.bodies], file)
+    check_inside(path, box, position, [len(points) for points in layout.bodies], file)
     particles = at_rest(
         position,
         np.concatenate([np.full(len(fluid), Kind.FLUID), kind]),
@@ -76,93 +75,15 @@ def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None)
     return case, layout
 
 
-def bodies(file: OwnFile) -> Iterator[tuple[str, Body]]:
-    """The bodies of all fluids in turn, with the place of each in the file."""
-    for i, table in enumerate(file.fluid, 1):
-        for j, body in enumerate(table.body, 1):
-            yield f"[[fluid]] {i}, [[fluid.body]] {j}", body
-
-
-class _Shapes(NamedTuple):
-    fluid: list[Any]
-    wall: list[Any]
-    bounds: list[Any]
-
-
-def _checked(file: OwnFile, path: Path, dim: int) -> _Shapes:
-    """Polygons or meshes of all shapes (None for a polyline), once everything in the file fits together."""
-    faults: list[str] = []
-
-    def vectors(where: str, **given: list[Any] | None) -> None:
-        for key, value in given.items():
-            points = [] if value is None else value if isinstance(value[0], list) else [value]
-            wrong = [point for point in points if len(point) != dim]
-            if wrong:
-                faults.append(f"{where}: {key} must have {dim} components, as gravity has, got {wrong[0]}")
-
-    def made(where: str, shape: Shape) -> Any:
-        ball = shape.circle or shape.sphere
-        vectors(
-            where,
-            **{k: getattr(shape, k, None) for k in ("polygon", "polyline", "box", "offset", "velocity", "center")},
-            **{f"{shape.kind}.center": ball.center if ball else None},
-        )
-        if isinstance(getattr(shape, "rotation", None), (list, float, int)):
-            spin = getattr(shape, "rotation", None)
-            if isinstance(spin, list) != (dim == 3):
-                rule = "a vector [rad/s] in 3-D" if dim == 3 else "a number [rad/s] in 2-D"
-                faults.append(f"{where}: rotation must be {rule}, got {spin}")
-        if shape.kind == "polyline" and dim == 2:
-            return None
-        if shape.kind not in _SHAPES[dim]:
-            faults.append(f"{where}: {shape.kind} must be one of {', '.join(_SHAPES[dim])} in {dim}-D")
-        elif not any(fault.startswith(f"{where}:") for fault in faults):
-            try:
-                return plane.outline(shape) if dim == 2 else solid.mesh(shape, path.parent)
-            except ValueError as error:
-                faults.append(f"{where}: {error}")
-        return None
-
-    vectors("[case]", lower=file.case.lower, upper=file.case.upper)
-    vectors("[motion]", center=file.motion.center if file.motion else None)
-    sides = "xyz"[:dim]
-    faults += [
-        f"[case]: periodic must be among {', '.join(sides)} in {dim}-D, got {axis}"
-        for axis in file.case.periodic
-        if axis not in sides
-    ]
-    fluid = [made(where, body) for where, body in bodies(file)]
-    wall = [made(f"[[wall]] {i}", table) for i, table in enumerate(file.wall, 1)]
-    for i, table in enumerate(file.wall, 1):
-        faults += [
-            f"[[wall]] {i}: open must be among the sides of {dim}-D, got {side}"
-            for side in table.open
-            if side[1] not in sides
-        ]
-    _check_probes(file, dim, vectors, faults)
-    if faults:
-        raise CaseFileError(path, faults)
-    lines = [shapely.LineString(t.polyline).bounds for t in file.wall if t.polyline is not None]
-    return _Shapes(fluid, wall, [shape.bounds for shape in [*fluid, *wall] if shape is not None] + lines)
-
-
-def _check_probes(file: Any, dim: int, vectors: Callable[..., None], faults: list[str]) -> None:
-    for i, probe in enumerate(file.probe, 1):
-        where = f"[[probe]] {i}"
-        vectors(where, point=getattr(probe, "point", None), segment=getattr(probe, "segment", None))
-        if probe.kind == "wave_gauge" and (probe.y is not None) != (dim == 3):
-            faults.append(f"{where}: y must be given in 3-D, and in 3-D only, got {probe.y}")
-
-
 def _layers(wall: Wall, ratio: float, spacing: float) -> int:
     if wall.thickness is not None:
         return max(round(wall.thickness / spacing), 1)
     return wall.layers or 1 + dummy_layers(ratio)
 
 
-def _in_plane(file: OwnFile, shapes: _Shapes, counts: list[int], spacing: float) -> Layout:
+def _in_plane(file: OwnFile, shapes: Shapes, counts: list[int], spacing: float) -> Layout:
     around = shapely.union_all([*shapes.fluid, *(shapely.box(*bounds) for bounds in shapes.bounds)])
-    walls = plane.walls(file.wall, counts, spacing, around)
+    walls = plane_walls.walls(file.wall, counts, spacing, around)
     rooms = [walls.room(shape) for shape in shapes.fluid]
     placed, anchors = [], []
     for k, room in enumerate(rooms):
@@ -177,7 +98,7 @@ def _left(room: Any, later: list[Any]) -> Any:
     return room.difference(shapely.union_all(later)) if later else room
 
 
-def _in_space(file: OwnFile, shapes: _Shapes, counts: list[int], spacing: float) -> Layout:
+def _in_space(file: OwnFile, shapes: Shapes, counts: list[int], spacing: float) -> Layout:
     outside = [mesh for table, mesh in zip(file.wall, shapes.wall, strict=True) if table.side == "outside"]
     anchor = (outside or shapes.fluid)[0].bounds[0]
     most = max(counts, default=0)
@@ -247,21 +168,3 @@ def _domain(file: OwnFile, path: Path, position: np.ndarray, corners: np.ndarray
         return Box(tuple(low.tolist()), tuple(high.tolist()), periodic)
     except ValueError as error:
         raise CaseFileError(path, [f"[case]: {error}"]) from None
-
-
-def _check_inside(path: Path, box: Box, position: np.ndarray, counts: list[int], file: OwnFile) -> None:
-    inside = np.all((position >= box.lower) & (position < box.upper), axis=1)
-    faults = []
-    places = [where for where, _ in bodies(file)] + ["[[wall]]"]
-    for where, part, points in zip(
-        places, np.split(inside, np.cumsum(counts)), np.split(position, np.cumsum(counts)), strict=True
-    ):
-        out = points[~part]
-        if len(out):
-            place = ", ".join(f"{x:.4g}" for x in out[0])
-            faults.append(
-                f"{where}: particles must lie in the box from {box.lower} m to {box.upper} m, got {len(out)} outside, "
-                f"the first at ({place}) m"
-            )
-    if faults:
-        raise CaseFileError(path, faults)

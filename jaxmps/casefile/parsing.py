@@ -12,7 +12,8 @@ from pydantic import BaseModel, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
 from jaxmps.casefile.arguments import arguments, case_factories, hint
-from jaxmps.casefile.models import BuiltinFile, OwnFile, Table
+from jaxmps.casefile.models import BuiltinFile, OwnFile
+from jaxmps.casefile.shapes import Table
 from jaxmps.validation import one_of
 
 

@@ -1,25 +1,19 @@
-"""Shapes of the plane: polygons filled with particles, and layers of wall particles along them."""
+"""Shapes of the plane: polygons, and particles that fill them."""
 
-import math
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import shapely
 from scipy.spatial import KDTree
-from shapely.geometry import LineString, Point, Polygon, box
+from shapely.geometry import Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from jaxmps.casefile.models import Shape, Wall
+from jaxmps.casefile.shapes import Shape
 from jaxmps.cases.lattice import lattice_points
 
 CLOSE = 0.7
 """[spacings] Particles nearer than that to one another are no arrangement to start from."""
 _SLACK = 0.25  # [spacings] particles stand this far in front of or behind the edge of a shape, to get its mass right
-_VOID = 0.8  # [spacings] a place in a wall that is farther than this from all particles is to have one
-_CORNER = math.radians(30.0)  # a path that turns by more has a corner, which gets a particle
-_MITRE = {"join_style": "mitre", "mitre_limit": 5.0}
 
 
 def outline(shape: Shape) -> Polygon:
@@ -37,24 +31,6 @@ def outline(shape: Shape) -> Polygon:
     if found.area <= 0.0:
         raise ValueError(f"{shape.kind} must have an area, got none")
     return found
-
-
-class Walls(NamedTuple):
-    """Wall particles [m], the layer of each from 0 at the fluid's side, the region that they stand in, and the tanks
-    with all that is beyond their open sides.
-    """
-
-    position: np.ndarray
-    layer: np.ndarray
-    solid: BaseGeometry
-    tanks: BaseGeometry
-    open: BaseGeometry
-
-    def room(self, shape: BaseGeometry) -> BaseGeometry:
-        """The part of a shape that fluid can fill: of one that is in a tank, what is outside of it is left out."""
-        if shape.intersection(self.tanks).area > 0.0:
-            shape = shape.intersection(self.tanks.union(self.open))
-        return shape.difference(self.solid)
 
 
 def fill(shape: BaseGeometry, spacing: float, anchor: np.ndarray, walls: np.ndarray) -> np.ndarray:
@@ -90,97 +66,6 @@ def threshold(depth: np.ndarray, count: float) -> float:
     return float(best[np.argmin(np.abs(best))])
 
 
-def walls(tables: list[Wall], counts: list[int], spacing: float, around: BaseGeometry) -> Walls:
-    """The layers of all walls together; `counts` has the layers of each, `around` is what else there is.
-
-    Tanks without the obstacles in them are one region: its offset curves at (k + ½) l0 carry the particles, with mitred
-    corners, evenly about one spacing apart. Polylines have theirs on one side.
-    """
-    placed: list[tuple[np.ndarray, int]] = []
-    solids: list[BaseGeometry] = []
-    closed = [(t, outline(t), n) for t, n in zip(tables, counts, strict=True) if t.polyline is None]
-    if closed:
-        placed, solid = _around_region(closed, spacing, around)
-        solids.append(solid)
-    for table, count in zip(tables, counts, strict=True):
-        if table.polyline is not None:
-            line, sign = LineString(table.polyline), 1.0 if table.side == "left" else -1.0
-            solids.append(line.buffer(sign * count * spacing, single_sided=True, join_style="mitre"))
-            for k in range(count):
-                curve = shapely.offset_curve(line, sign * (k + 0.5) * spacing, **_MITRE)
-                placed += [(_along(np.asarray(part.coords), spacing), k) for part in shapely.get_parts(curve)]
-    placed.sort(key=lambda entry: entry[1])  # where walls meet, the layer at the fluid stays
-    position = np.concatenate([points for points, _ in placed] or [np.zeros((0, 2))])
-    layer = np.concatenate([np.full(len(points), k) for points, k in placed] or [np.zeros(0, int)])
-    keep = apart(position, CLOSE * spacing)
-    tanks = [(t, shape) for t, shape, _ in closed if t.side == "outside"]
-    everything = shapely.union_all([around, *(shape for _, shape in tanks)]).envelope.buffer(
-        spacing, join_style="mitre"
-    )
-    opened = shapely.union_all([_opening(t, shape, everything) for t, shape in tanks])
-    return Walls(
-        position[keep], layer[keep], shapely.union_all(solids), shapely.union_all([s for _, s in tanks]), opened
-    )
-
-
-def _around_region(
-    closed: list[tuple[Wall, Polygon, int]], spacing: float, around: BaseGeometry
-) -> tuple[list[tuple[np.ndarray, int]], BaseGeometry]:
-    most = max(count for *_, count in closed)
-    tanks = [shape for table, shape, _ in closed if table.side == "outside"]
-    obstacles = shapely.union_all([shape for table, shape, _ in closed if table.side == "inside"])
-    everything = shapely.union_all([around, obstacles, *tanks])
-    universe = everything.envelope.buffer(4 * (most + 2) * spacing, join_style="mitre")
-    region = (shapely.union_all(tanks) if tanks else universe).difference(obstacles)
-    edges = [shapely.boundary(shape) for _, shape, _ in closed]
-    layers = np.array([count for *_, count in closed])
-    placed = []
-    for k in range(most):
-        curves = shapely.boundary(region.buffer((k + 0.5) * spacing, **_MITRE))
-        for curve in shapely.get_parts(shapely.line_merge(curves)):
-            if not tanks and not universe.contains(curve):
-                continue
-            points = _along(np.asarray(curve.simplify(1e-6 * spacing).coords), spacing)
-            nearest = np.argmin([shapely.distance(edge, shapely.points(points)) for edge in edges], axis=0)
-            there = k < layers[nearest]
-            for index, (table, shape, _) in enumerate(closed):
-                there &= (nearest != index) | ~beyond(points, table.open, np.reshape(shape.bounds, (2, 2)))
-            placed.append((points[there], k))
-    band = region.buffer(most * spacing, **_MITRE).difference(region)
-    for table, shape, _ in closed:
-        band = band.difference(_opening(table, shape, universe))
-    if not tanks:
-        band = band.intersection(obstacles)
-    points = _voids(band, np.concatenate([points for points, _ in placed]), spacing)
-    away = np.array([shapely.distance(edge, shapely.points(points)) for edge in edges]) / spacing
-    nearest, depth = np.argmin(away, axis=0), np.min(away, axis=0)
-    deep = (depth >= 1.0) & (depth < layers[nearest])
-    placed += [(point[None], int(k)) for point, k in zip(points[deep], depth[deep], strict=True)]
-    return placed, shapely.union_all([band, obstacles])
-
-
-def _voids(band: BaseGeometry, there: np.ndarray, spacing: float) -> np.ndarray:
-    """Particles for the room that is left between layers from two sides, such as in the middle of a thin wall."""
-    low, high = np.reshape(band.bounds, (2, 2))
-    count = np.ceil((high - low) / (0.25 * spacing)).astype(int) + 1
-    points = low + 0.25 * spacing * lattice_points(*map(range, count))
-    points = points[np.isinf(KDTree(there).query(points, distance_upper_bound=_VOID * spacing)[0])]
-    points = points[shapely.contains_xy(band, *points.T)]
-    farthest = np.argsort(-np.round(KDTree(there).query(points)[0] / spacing, 6), kind="stable")
-    return points[farthest][apart(points[farthest], _VOID * spacing)]
-
-
-def _opening(table: Wall, shape: Polygon, universe: BaseGeometry) -> BaseGeometry:
-    low, high = np.reshape(shape.bounds, (2, 2))
-    outer = np.reshape(universe.bounds, (2, 2))
-    halves = []
-    for side in table.open:
-        axis, corners = "xy".index(side[1]), outer.copy()
-        corners[0 if side[0] == "+" else 1, axis] = (high if side[0] == "+" else low)[axis]
-        halves.append(box(*corners.ravel()))
-    return shapely.union_all(halves)
-
-
 def beyond(points: np.ndarray, sides: Sequence[str], bounds: np.ndarray) -> np.ndarray:
     """Which points lie beyond `bounds` (lower and upper corner) on one of these sides, such as "+y"."""
     out = np.zeros(len(points), bool)
@@ -188,29 +73,6 @@ def beyond(points: np.ndarray, sides: Sequence[str], bounds: np.ndarray) -> np.n
         x, (low, high) = points[:, "xyz".index(side[1])], bounds[:, "xyz".index(side[1])]
         out |= x > high if side[0] == "+" else x < low
     return out
-
-
-def _along(path: np.ndarray, spacing: float) -> np.ndarray:
-    """Points on a path about one spacing apart, with one in each corner, and half a spacing from open ends."""
-    ring = bool(np.allclose(path[0], path[-1], rtol=0.0, atol=1e-9 * spacing)) and len(path) > 3
-    ways = np.diff(path, axis=0)
-    before, after = (np.roll(ways, 1, axis=0), ways) if ring else (ways[:-1], ways[1:])
-    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.sum(before * after, axis=1))
-    corners = np.flatnonzero(np.abs(turn) > _CORNER) + (0 if ring else 1)
-    if ring and len(corners):
-        path = np.concatenate([path[corners[0] : -1], path[: corners[0] + 1]])
-        corners = (corners - corners[0])[1:]
-    stops = [0, *corners, len(path) - 1]
-    places = []
-    for index, (a, b) in enumerate(pairwise(stops)):
-        piece = LineString(path[a : b + 1])
-        free = (not ring and index == 0, not ring and index == len(stops) - 2)
-        # The corner at the start belongs to the piece, the one at the end to the next.
-        over = 0.5 * free[0] - 0.5 * free[1]
-        count = max(round(piece.length / spacing - over), 0 if over > 0 else 1)
-        step = piece.length / (count + over)
-        places.append(shapely.line_interpolate_point(piece, step * (np.arange(count) + 0.5 * free[0])))
-    return shapely.get_coordinates(np.concatenate(places))
 
 
 def apart(position: np.ndarray, distance: float) -> np.ndarray:

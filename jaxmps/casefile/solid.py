@@ -8,8 +8,8 @@ import trimesh
 from scipy.spatial import KDTree
 from trimesh import Trimesh
 
-from jaxmps.casefile.models import Shape, Wall
 from jaxmps.casefile.plane import beyond, threshold
+from jaxmps.casefile.shapes import Shape, Wall
 from jaxmps.cases.lattice import lattice_points
 
 

@@ -173,7 +173,7 @@ def export(
 ) -> None:
     """Write particles for other programs."""
     from jaxmps import io
-    from jaxmps.casefile.arguments import types_of
+    from jaxmps.casefile.options import types_of
     from jaxmps.validation import one_of
 
     path, result = open_run(file)

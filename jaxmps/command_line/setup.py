@@ -22,7 +22,8 @@ def prepare_case(
     far as they should, only if they are to be `jittered` here.
     """
     from jaxmps.casefile import CaseFile, RunTable, Setup
-    from jaxmps.casefile.arguments import build, check_options
+    from jaxmps.casefile.arguments import build
+    from jaxmps.casefile.options import check_options
 
     check_options({"checkpoint_every": checkpoint_every})
     given = check_options(options)

@@ -116,7 +116,8 @@ def _over_lanes(function: Callable[..., Any], *arguments: Any) -> Any:
 def _advance_lanes(mesh, own, shared, carry, dt, keys, most_steps):
     def on_a_device(shared, dt, most_steps, carry, keys, own):
         def one(carry, key, own):
-            return advance_chunk(*eqx.combine(own, shared), carry, dt, key, most_steps)
+            case, scheme = eqx.combine(own, shared)
+            return advance_chunk(case, scheme, carry, dt, key, most_steps)
 
         return _over_lanes(one, carry, keys, own)
 

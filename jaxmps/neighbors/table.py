@@ -18,8 +18,9 @@ from jaxtyping import Array, Bool, Float
 from jaxmps._compilation import jit
 from jaxmps.flow import Box
 from jaxmps.kernels import lattice
+from jaxmps.neighbors.cells import ball, window_size
 from jaxmps.neighbors.jax_md import partition
-from jaxmps.neighbors.search import ball, search, window_size
+from jaxmps.neighbors.search import search
 
 SKIN = 0.1
 """Default reach of the list beyond the cutoff, in spacings; the list is rebuilt after half of it.
