@@ -63,6 +63,7 @@ bench: .venv/.installed
 
 docs: .venv/.installed-docs
 	JAX_PLATFORMS=cpu $(BIN)/python -m sphinx -W --keep-going -q -b html docs/site build/docs
+	$(BIN)/python docs/site/offline.py build/docs
 	@echo build/docs/index.html
 
 clean:

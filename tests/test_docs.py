@@ -4,18 +4,22 @@ import ast
 import functools
 import importlib
 import inspect
+import json
 import re
 import shlex
 import sys
 import tomllib
 from collections.abc import Iterator
+from importlib import resources
 from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import jsonschema
 import pytest
 import typer
+from ruamel.yaml import YAML
 
 import jaxmps
 from jaxmps.casefile.arguments import case_factories, scheme_factories
@@ -24,7 +28,7 @@ from jaxmps.command_line import app
 
 ROOT = Path(__file__).parent.parent
 SITE = ROOT / "docs" / "site"
-PAGES = [ROOT / "README.md", *sorted(SITE.rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(SITE.rglob("*.md"))]
 name_of = attrgetter("name")
 
 
@@ -33,6 +37,15 @@ def pages() -> Any:
     sys.path.insert(0, str(SITE))
     try:
         yield importlib.import_module("pages")
+    finally:
+        sys.path.remove(str(SITE))
+
+
+@pytest.fixture(scope="module")
+def offline() -> Any:
+    sys.path.insert(0, str(SITE))
+    try:
+        yield importlib.import_module("offline")
     finally:
         sys.path.remove(str(SITE))
 
@@ -201,9 +214,73 @@ def test_a_docstring_keeps_its_signs_and_its_formula(pages):
     assert lines[6] == "- ``dt`` [s]"
 
 
-def test_a_section_of_the_readme_ends_where_the_next_begins(pages):
-    text = pages.readme("On a GPU")
-    assert text.startswith("`pip install") and "Surge front" not in text
-    assert "](../front.png)" in pages.readme("Gallery")
+def test_a_section_of_the_readme_ends_where_the_next_begins(pages, tmp_path, monkeypatch):
+    text = pages.readme("Ten lines")
+    assert text.startswith("```python") and "Which scheme" not in text
+    (tmp_path / "README.md").write_text("## One\n[a](docs/site/gallery.md), ![b](docs/strip.png)\n\n## Two\nc\n")
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    assert pages.readme("One") == "[a](gallery.md), ![b](../strip.png)"
+    assert pages.readme("Two") == "c"
     with pytest.raises(ValueError, match="must have the heading '## Nothing'"):
         pages.readme("Nothing")
+
+
+def test_the_readme_is_short():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 180
+    assert [line for line in lines if len(line) > 120] == []
+
+
+def test_the_reference_opens_with_the_four_names_of_the_first_run(pages):
+    listed = re.findall(r"^\.\. \w+:: (\w+)$", pages.filled("% api: jaxmps"), re.MULTILINE)
+    assert [name for name in listed if name != "jaxmps"][:4] == ["simulate", "rollout", "ensemble", "tune"]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=attrgetter("stem"))
+def test_a_notebook_of_the_site_hides_the_parameters_that_it_runs_with(path, pages):
+    full = json.loads(path.read_text(encoding="utf-8"))
+    shown = json.loads(pages.notebook(path.stem, json.dumps(full)))
+    hidden, title = shown["cells"][:2]
+    assert hidden["metadata"]["tags"] == ["remove-cell"]
+    names: dict[str, Any] = {}
+    exec(hidden["source"].replace("%matplotlib inline", ""), names)
+    assert {name: names[name] for name in pages.SMALL[path.stem]} == pages.SMALL[path.stem]
+    assert title["source"].startswith("# ") and "On this page" in title["source"]
+    assert shown["cells"][2:] == full["cells"][2:]
+
+
+def test_a_notebook_with_another_parameter_is_refused(pages):
+    content = {"cells": [{"source": "# Parameters\nspeed = 1.0", "metadata": {}}, {"source": "# Title\n"}]}
+    with pytest.raises(ValueError, match="01_first_run must have the parameters spacing, until, got speed"):
+        pages.notebook("01_first_run", json.dumps(content))
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if blocks(path, "python", "toml", "console", "")], ids=name_of)
+def test_code_fits_the_column(path):
+    lines = "\n".join(blocks(path, "python", "toml", "console", "")).splitlines()
+    assert [line for line in lines if len(line) > 120] == []
+
+
+def test_the_citation_is_what_its_schema_asks_for():
+    schema = resources.files("check_jsonschema") / "builtin_schemas" / "vendor" / "citation-file-format.json"
+    cited = YAML(typ="safe").load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    jsonschema.validate(cited, json.loads(schema.read_text(encoding="utf-8")))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    assert cited["authors"] == project["authors"]
+
+
+def test_a_page_with_a_script_from_elsewhere_is_found(offline, tmp_path):
+    (tmp_path / "good.html").write_text('<script src="_static/a.js"></script><a href="https://doi.org/1">paper</a>')
+    assert offline.loaded(tmp_path) == []
+    (tmp_path / "bad.html").write_text('<link rel="stylesheet" href="//elsewhere.org/a.css"><img src="http://b.org/c">')
+    (tmp_path / "bad.css").write_text(
+        "@import 'https://elsewhere.org/font.css'; a { background: url(https://b.org/d) }"
+    )
+    found = offline.loaded(tmp_path)
+    assert [line.split(": ")[1] for line in found] == [
+        "https://elsewhere.org/font.css",
+        "https://b.org/d",
+        "//elsewhere.org/a.css",
+        "http://b.org/c",
+    ]

@@ -76,26 +76,62 @@ def test_the_grain_examples_move_the_grains_the_right_way(name, upward, tmp_path
     np.testing.assert_array_equal(again.position, run.position)
 
 
-def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
-    text = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
-    small = {"spacing=0.02": "spacing=0.1", "until=1.0": "until=0.1", "steps=100": "steps=10", ":1250": ":50"}
-    small |= {
-        "steps=200": "steps=10",
-        "steps=30": "steps=2",
-        "key(0), 64": "key(0), 2",
-        "until=4.0": "until=0.1",
-        "until=3.2": "until=0.02",
-    }
+def shrunk(page: str, small: dict[str, str]) -> str:
+    """The Python on a page, each of `small` replaced by a smaller value; what is replaced must be there."""
+    text = "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL))
     for full, little in small.items():
-        assert full in text
+        assert full in text, f"{page} has no {full}"
         text = text.replace(full, little)
+    return text
+
+
+def test_the_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
+    small = {"spacing=0.02": "spacing=0.1", "until=1.0": "until=0.1", "steps=100": "steps=10", ":1250": ":50"}
+    small |= {"steps=200": "steps=10", "steps=30": "steps=2", "key(0), 64": "key(0), 2"}
+    text = shrunk("README.md", small)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     exec(text, names)
     assert float(capsys.readouterr().out) != 0.0
     assert (tmp_path / "dam.vtkhdf").exists()
     assert len(names["history"].loss) == 2 and (tmp_path / "tuning").exists()
-    assert len(names["many"]) == 2 and names["mps"].read(tmp_path / "long.vtkhdf").status.completed
+    assert len(names["many"]) == 2
+
+
+SMALL_PAGES = {
+    "derivatives": {"spacing=0.02": "spacing=0.1", "steps=200": "steps=10", "steps=30": "steps=2"},
+    "ensembles": {"spacing=0.02": "spacing=0.1", "key(0), 64": "key(0), 2", "until=1.0": "until=0.04"},
+    "exchange": {},
+    "failure": {"until=1.0": "until=0.2"},
+    "geometry": {"**setup.times": "until=0.01", "until=3.2": "until=0.02"},
+    "restart": {"spacing=0.01": "spacing=0.1", "until=4.0": "until=0.1"},
+}
+"""Pages of the site whose Python is executed, and what makes it small."""
+
+
+@pytest.mark.parametrize("page", SMALL_PAGES)
+def test_the_python_on_a_page_of_the_site_runs(page, tmp_path, monkeypatch):
+    text = shrunk(f"docs/site/{page}.md", SMALL_PAGES[page])
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(text, names)
+    if page == "exchange":
+        # What VTK's own reader has found in the last step is what the run has there.
+        saved = names["mps"].read(tmp_path / "run.vtkhdf")
+        assert names["step"] == len(saved) - 1 == 2
+        np.testing.assert_array_equal(names["position"][:, :2], saved.position[-1])
+        np.testing.assert_array_equal(names["pressure"], saved.pressure[-1])
+        np.testing.assert_array_equal(names["cloud"].points[:, :2], saved.position[-1])
+    if page == "restart":
+        assert names["mps"].read(tmp_path / "long.vtkhdf").status.completed
+
+
+def test_the_strip_of_four_pictures_is_drawn(tmp_path, monkeypatch, capsys):
+    runs, many = load("strip").main(finer=0.5, members=2, length=0.02, out=str(tmp_path))
+    assert [run.metadata["case"]["name"] for run in runs.values()] == ["dam_break", "sloshing", "l_shaped_tank"]
+    assert len(many) == 2 and (tmp_path / "strip.png").stat().st_size > 10_000
+    assert "energy at the end" in capsys.readouterr().out
 
 
 def test_the_standing_wave_example_fits_its_wave_and_closes_its_budget(tmp_path, monkeypatch, capsys):

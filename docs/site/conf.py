@@ -1,5 +1,7 @@
 """Sphinx for the documentation: `make docs`. What pages take from README.md and from the package is in `pages.py`."""
 
+import importlib.util
+import os
 import sys
 from pathlib import Path
 
@@ -10,6 +12,10 @@ import pages  # noqa: E402
 
 import jaxmps  # noqa: E402
 
+# What the notebooks of the site compute takes less time than to compile it with care.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
 project = "jaxmps"
 author = "The jaxmps authors"
 project_copyright = author
@@ -17,16 +23,24 @@ version = release = jaxmps.__version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 exclude_patterns = ["_build"]
+# Formulas need no network: the package has MathJax, of which this one file draws everything, letters too.
+mathjax = importlib.util.find_spec("sphinx-mathjax-offline")
+assert mathjax is not None and mathjax.origin is not None
+mathjax_path = "tex-svg.js"
 html_theme = "furo"
 html_title = f"jaxmps {release}"
-html_static_path = ["_static"]
+html_static_path = ["_static", str(Path(mathjax.origin).parent / "static" / "mathjax" / mathjax_path)]
 html_css_files = ["text.css"]
 html_show_sphinx = False
 smartquotes = False  # quotation marks stand in code and in messages
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4
-nb_execution_mode = "off"  # the tests execute the notebooks
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600  # s, for a cell
+nb_execution_in_temp = True
+nb_output_stderr = "remove"  # warnings name places on the machine that builds
 
 default_role = "py:obj"
 autodoc_member_order = "bysource"
@@ -36,9 +50,15 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 100
 
 
+def fill(app, name, source):
+    """Fills in a page; notebooks become small."""
+    folder, _, stem = name.rpartition("/")
+    source[0] = pages.notebook(stem, source[0]) if folder == "notebooks" else pages.filled(source[0])
+
+
 def setup(app):
     """Pages are filled in as they are read, and docstrings, which are plain text, are put into the form of Sphinx."""
-    app.connect("source-read", lambda app, name, source: source.__setitem__(0, pages.filled(source[0])))
+    app.connect("source-read", fill)
     app.connect("autodoc-process-docstring", lambda app, kind, name, what, options, lines: pages.marked_up(lines))
     app.connect("autodoc-process-signature", lambda app, *about: pages.shortened(*about[-2:]))
     app.connect("autodoc-skip-member", lambda app, kind, name, member, skip, options: skip or pages.is_foreign(member))

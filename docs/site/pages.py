@@ -1,7 +1,7 @@
 """What the pages take from elsewhere: sections of README.md, the public names with their docstrings, the commands.
 
 A line of its own in a page, `% readme: Heading`, `% api: module`, `% models: module`, `% status`
-or `% commands`, stands for it.
+or `% commands`, stands for it. Notebooks are shown without their cell of parameters, as they run with small ones.
 """
 
 import ast
@@ -9,6 +9,7 @@ import functools
 import importlib
 import inspect
 import itertools
+import json
 import re
 from pathlib import Path
 from types import ModuleType
@@ -32,6 +33,24 @@ MODULES = (
     "jaxmps.motion",
 )
 """The public modules."""
+FIRST = ("simulate", "rollout", "ensemble", "tune")
+"""The names that the reference opens with; others follow by the alphabet."""
+SMALL = {
+    "01_first_run": {"spacing": 0.04, "until": 0.8},
+    "02_schemes_compared": {"spacing": 0.05, "until": 2.0},
+    "03_tuning_alpha_ds": {"spacing": 0.08, "until": 1.0, "updates": 8, "seeds": 4},
+    "04_tuning_alpha_stochastic": {"spacing": 0.04, "until": 2.0, "updates": 8, "pairs": 2, "seeds": 4},
+    "05_ensembles": {
+        "spacing": 0.1,
+        "until": 1.2,
+        "members": 32,
+        "wave_spacing": 0.05,
+        "wave_until": 2.0,
+        "alphas": 5,
+        "seeds": 3,
+    },
+}
+"""Parameters that the notebooks of the site run with: about a minute each, and pictures that still show their point."""
 
 
 def filled(page: str) -> str:
@@ -44,16 +63,30 @@ def filled(page: str) -> str:
 
 
 def readme(heading: str) -> str:
-    """The text of README.md under this heading, without it; `Introduction` is what stands below the title.
-
-    Links point from the site: to the page that has the gallery, and to pictures one folder up.
-    """
+    """The text of README.md under this heading, without it. Links point from the site, pictures are one folder up."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    start = "# jaxmps" if heading == "Introduction" else f"## {heading}"
-    found = re.search(rf"^{re.escape(start)}\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE)
+    found = re.search(rf"^## {re.escape(heading)}\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE)
     if found is None:
-        raise ValueError(f"README.md must have the heading {start!r}")
-    return found[1].replace("](#gallery)", "](gallery.md)").replace("](docs/", "](../").strip()
+        raise ValueError(f"README.md must have the heading '## {heading}'")
+    return found[1].replace("](docs/site/", "](").replace("](docs/", "](../").strip()
+
+
+def notebook(name: str, text: str) -> str:
+    """A notebook as the site runs and shows it: small, its parameters in a line below the title, not in a cell."""
+    content = json.loads(text)
+    parameters, title = content["cells"][:2]
+    given = [line.split(" = ")[0] for line in "".join(parameters["source"]).splitlines() if " = " in line]
+    if given != list(SMALL[name]):
+        raise ValueError(f"{name} must have the parameters {', '.join(SMALL[name])}, got {', '.join(given)}")
+    values = [f"{key} = {value}" for key, value in SMALL[name].items()]
+    parameters["source"] = "\n".join(["%matplotlib inline", *values])
+    parameters["metadata"] = {"tags": ["remove-cell"]}
+    heading, _, rest = "".join(title["source"]).partition("\n")
+    note = (
+        f"*On this page: `{'`, `'.join(values)}`. [The notebook](../notebooks.md) itself is finer, and takes longer.*"
+    )
+    title["source"] = f"{heading}\n\n{note}\n{rest}"
+    return json.dumps(content)
 
 
 def public(module: str) -> dict[str, Any]:
@@ -81,7 +114,8 @@ def models(module: str) -> dict[str, Any]:
 def api(module: str, names: dict[str, Any]) -> str:
     """The docstrings of these names of a module, for autodoc; those of constants are looked up in the source."""
     lines = ["```{eval-rst}", f".. currentmodule:: {module}", ""]
-    for name, value in sorted(names.items(), key=lambda item: item[0].lower()):
+    place = {name: number for number, name in enumerate(FIRST)}
+    for name, value in sorted(names.items(), key=lambda item: (place.get(item[0], len(FIRST)), item[0].lower())):
         if inspect.isclass(value):
             call = ["   :special-members: __call__"] if inspect.isabstract(value) else []  # what a model must do
             lines += [f".. autoclass:: {name}", "   :members:", "   :show-inheritance:", *call, ""]
