@@ -86,7 +86,7 @@ def notebook(name: str, text: str) -> str:
     parameters["metadata"] = {"tags": ["remove-cell"]}
     heading, _, rest = "".join(title["source"]).partition("\n")
     note = (
-        f"*On this page: `{'`, `'.join(values)}`. {{doc}}`The notebook </notebooks>` itself is finer, and takes longer.*"
+        f"*On this page: `{'`, `'.join(values)}`. {{doc}}`The notebook </notebooks>` itself is finer and takes longer.*"
     )
     title["source"] = f"{heading}\n\n{note}\n{rest}"
     return json.dumps(content)
