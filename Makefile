@@ -62,7 +62,7 @@ bench: .venv/.installed
 	GLIBC_TUNABLES=glibc.malloc.hugetlb=1 $(BIN)/python -m benchmarks
 
 docs: .venv/.installed-docs
-	JAX_PLATFORMS=cpu $(BIN)/python -m sphinx -W --keep-going -q -b html docs/site build/docs
+	JAX_PLATFORMS=cpu $(BIN)/python -m sphinx -W --keep-going -q -j 2 -b html docs/site build/docs
 	$(BIN)/python docs/site/offline.py build/docs
 	@echo build/docs/index.html
 

@@ -127,6 +127,7 @@ def test_the_python_on_a_page_of_the_site_runs(page, tmp_path, monkeypatch):
         assert names["mps"].read(tmp_path / "long.vtkhdf").status.completed
 
 
+@pytest.mark.slow
 def test_the_strip_of_four_pictures_is_drawn(tmp_path, monkeypatch, capsys):
     runs, many = load("strip").main(finer=0.5, members=2, length=0.02, out=str(tmp_path))
     assert [run.metadata["case"]["name"] for run in runs.values()] == ["dam_break", "sloshing", "l_shaped_tank"]

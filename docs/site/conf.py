@@ -12,8 +12,6 @@ import pages  # noqa: E402
 
 import jaxmps  # noqa: E402
 
-# What the notebooks of the site compute takes less time than to compile it with care.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 project = "jaxmps"

@@ -39,18 +39,20 @@ SMALL = {
     "01_first_run": {"spacing": 0.04, "until": 0.8},
     "02_schemes_compared": {"spacing": 0.05, "until": 2.0},
     "03_tuning_alpha_ds": {"spacing": 0.08, "until": 1.0, "updates": 8, "seeds": 4},
-    "04_tuning_alpha_stochastic": {"spacing": 0.04, "until": 2.0, "updates": 8, "pairs": 2, "seeds": 4},
+    "04_tuning_alpha_stochastic": {"spacing": 0.05, "until": 2.0, "updates": 20, "pairs": 4, "seeds": 4},
     "05_ensembles": {
-        "spacing": 0.1,
+        "spacing": 0.05,
         "until": 1.2,
         "members": 32,
-        "wave_spacing": 0.05,
+        "wave_spacing": 0.04,
         "wave_until": 2.0,
         "alphas": 5,
-        "seeds": 3,
+        "seeds": 4,
     },
 }
 """Parameters that the notebooks of the site run with: about a minute each, and pictures that still show their point."""
+LONG = ("04_tuning_alpha_stochastic",)
+"""Those of them that run for longer than it takes to compile them with care."""
 
 
 def filled(page: str) -> str:
@@ -79,11 +81,12 @@ def notebook(name: str, text: str) -> str:
     if given != list(SMALL[name]):
         raise ValueError(f"{name} must have the parameters {', '.join(SMALL[name])}, got {', '.join(given)}")
     values = [f"{key} = {value}" for key, value in SMALL[name].items()]
-    parameters["source"] = "\n".join(["%matplotlib inline", *values])
+    hasty = [] if name in LONG else ["%env XLA_FLAGS=--xla_backend_optimization_level=0"]
+    parameters["source"] = "\n".join(["%matplotlib inline", *hasty, *values])
     parameters["metadata"] = {"tags": ["remove-cell"]}
     heading, _, rest = "".join(title["source"]).partition("\n")
     note = (
-        f"*On this page: `{'`, `'.join(values)}`. [The notebook](../notebooks.md) itself is finer, and takes longer.*"
+        f"*On this page: `{'`, `'.join(values)}`. {{doc}}`The notebook </notebooks>` itself is finer and takes longer.*"
     )
     title["source"] = f"{heading}\n\n{note}\n{rest}"
     return json.dumps(content)
