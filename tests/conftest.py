@@ -60,6 +60,16 @@ def in_a_hurry() -> None:
     hasty.hurry()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def nothing_is_told_on_the_way() -> Iterator[None]:
+    """Runs print no lines of progress, which they do after ten seconds: a test that waits for its turn takes longer."""
+    from jaxmps.running import display
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(display, "EVERY", 86_400.0)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def precision(request: pytest.FixtureRequest) -> Iterator[str]:
     """ "double" unless a test is parametrized otherwise; JAX is set accordingly while the test runs."""

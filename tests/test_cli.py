@@ -5,20 +5,23 @@ import dataclasses
 import io
 import json
 import platform
+import re
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import platformdirs
 import pytest
+import typer
+from rich.cells import cell_len
 
 from jaxmps.casefile.arguments import build, case_factories, scheme_factories
-from jaxmps.command_line import main
+from jaxmps.command_line import app, main
 from jaxmps.command_line.output import conclude
 from jaxmps.flow import Event, Outcome, Status
 from jaxmps.io import read
@@ -325,6 +328,26 @@ def test_version_and_help_need_no_arguments():
     assert call("--version").out.startswith("jaxmps ")
     assert "animate" in call("--help").out
     assert call().code == 0
+
+
+COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS])
+def test_help_names_what_options_take_nothing_at_flags_and_fits_in_eighty_columns(name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, err = call(*([name] if name else []), "--help")
+    assert (code, err) == (0, "")
+    assert all(cell_len(line.rstrip()) <= 80 for line in out.splitlines()) and "…" not in out
+    group: Any = typer.main.get_command(app)
+    command = group.commands[name] if name else group
+    options = [one for one in command.get_params(typer.Context(command)) if one.opts[0].startswith("-")]
+    assert "--help" in [one.opts[0] for one in options]
+    for option in options:
+        (words,) = re.findall(rf"^│ (?:\* )? *{option.opts[0]} +(.*)│$", out, re.MULTILINE)
+        takes = [] if option.is_flag else [option.metavar]
+        assert words.split()[: len(takes) + 1] == [*takes, option.help.split()[0]], words
+        assert option.is_flag or re.fullmatch(r"[A-Z]+([:=|][A-Za-z]+)*", option.metavar)
 
 
 def test_help_does_not_wait_for_jax():

@@ -1,6 +1,7 @@
 """What ensembles observe, and their statistics, against closed forms."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +14,8 @@ import jaxmps as mps
 from jaxmps import plotting
 from jaxmps.command_line import main
 from jaxmps.diagnostics import observation, volume_fraction
+from jaxmps.io import read_ensemble, write_ensemble
+from jaxmps.io.member_files import MemberFiles
 
 SCHEME = mps.schemes.mps()
 
@@ -156,3 +159,71 @@ def test_wrong_options_of_an_ensemble_are_named_in_one_line(options, message, tm
 def test_a_folder_without_members_is_named(tmp_path, capsys):
     assert main(["gather", str(tmp_path)]) == 2
     assert "folder must be one that an ensemble was written to" in capsys.readouterr().err
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """Three members, gathered."""
+    written(tmp_path, 3)
+    assert main(["gather", str(tmp_path)]) == 0
+    return tmp_path
+
+
+def written(folder: Path, count: int) -> None:
+    files = MemberFiles(folder, {"case": {}, "members": list(range(count))}, overwrite=False)
+    many = synthetic()
+    for k in range(count):
+        if k not in files:
+            files.write(many[k : k + 1])
+
+
+def kept(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
+
+
+def test_members_that_are_gathered_already_are_told_so_in_one_line(folder, capsys):
+    before = kept(folder)
+    capsys.readouterr()
+    assert main(["gather", str(folder)]) == 0
+    told = capsys.readouterr()
+    line = f"All 3 members in {folder} are in {folder / 'ensemble.h5'} already: there is nothing to gather.\n"
+    assert (told.out, told.err) == (line, "") and kept(folder) == before
+    assert main(["gather", str(folder), "--force"]) == 0
+    assert "nothing" not in capsys.readouterr().out and kept(folder) != before
+
+
+def test_members_that_came_later_are_gathered_and_it_is_told(folder, capsys):
+    written(folder, 5)
+    capsys.readouterr()
+    assert main(["gather", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(
+        f"{folder / 'ensemble.h5'} has 3 of the 5 members in {folder}: file and picture are made anew"
+    )
+    assert read_ensemble(folder / "ensemble.h5").member.tolist() == [0, 1, 2, 3, 4]
+    assert main(["gather", str(folder)]) == 0 and "nothing to gather" in capsys.readouterr().out
+    # One that was computed again.
+    write_ensemble(folder / "member-000001.h5", synthetic()[1:2], overwrite=True)
+    assert main(["gather", str(folder)]) == 0 and "has 4 of the 5 members" in capsys.readouterr().out
+    # One that has to be.
+    (folder / "member-000001.h5").unlink()
+    assert main(["gather", str(folder)]) == 2 and "without 1 of them, the first 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", ["another file", "more members", "other seeds", "other frames", "another case"])
+def test_a_file_with_anything_else_is_not_replaced(folder, change, capsys):
+    path, many = folder / "ensemble.h5", synthetic()
+    others = {
+        "more members": many,
+        "other seeds": dataclasses.replace(many[:3], seed=many.seed[:3] + 1),
+        "other frames": dataclasses.replace(many[:3], time=2.0 * many.time),
+        "another case": dataclasses.replace(many[:3], metadata={}),
+    }
+    if change in others:
+        write_ensemble(path, others[change], overwrite=True)
+    else:
+        path.write_text("not an ensemble")
+    before = kept(folder)
+    assert main(["gather", str(folder)]) == 2
+    assert f"error: {path} exists already: choose another --out, or replace it with --force" in capsys.readouterr().err
+    assert kept(folder) == before

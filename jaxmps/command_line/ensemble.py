@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from jaxmps.command_line.options import Force, Settings, real, whole
+from jaxmps.command_line.options import Force, Settings, named, real, whole
 from jaxmps.command_line.output import FAILED, fail, prepare, print_table, refuse
 from jaxmps.command_line.setup import prepare_case
 
@@ -28,21 +28,21 @@ def ensemble(
             help="Values of what --set can set, evenly spaced or NAME=A,B,C; several sweeps are combined.",
         ),
     ] = None,
-    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
+    scheme: Annotated[str | None, named("NAME", "One of `jaxmps schemes`; else the file's, or mps.")] = None,
     spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
     until: Annotated[float | None, real("Time in s at which the runs end; else the file's, or 2.")] = None,
     save_every: Annotated[float | None, real("Time in s from frame to frame; else the file's, or 0.02.")] = None,
     dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,
     seed: Annotated[int | None, whole("Seed of all members' keys and jitters; else the file's, or 0.")] = None,
     jitter: Annotated[float | None, real("Random displacement of each member's start, in spacings.")] = None,
-    precision: Annotated[str | None, typer.Option(help="single or double; else the file's, or double.")] = None,
+    precision: Annotated[str | None, named("NAME", "single or double; else the file's, or double.")] = None,
     frames: Annotated[bool, typer.Option("--frames", help="Keep all particles at every frame, too.")] = False,
     batch: Annotated[int | None, whole("Members in one program on each device; else chosen.")] = None,
     memory: Annotated[float | None, real("Bound on the memory of members at a time, in bytes.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; else named after the case.")] = None,
+    out: Annotated[Path | None, named("DIR", "Folder; else named after the case.")] = None,
     hosts: Annotated[
         str | None,
-        typer.Option(help="ADDRESS:PORT of process 0, or auto under Slurm, MPI or a cloud that JAX knows."),
+        named("ADDRESS:PORT", "ADDRESS:PORT of process 0, or auto under Slurm, MPI or a cloud that JAX knows."),
     ] = None,
     processes: Annotated[int | None, whole("Number of processes, with --hosts ADDRESS:PORT.")] = None,
     process: Annotated[int | None, whole("Number of this process, from 0.")] = None,
@@ -81,27 +81,38 @@ def ensemble(
 
 def gather(
     folder: Annotated[Path, typer.Argument(help="A folder that `jaxmps ensemble` wrote.")],
-    out: Annotated[Path | None, typer.Option(help="File; else ensemble.h5 in the folder.")] = None,
+    out: Annotated[Path | None, named("FILE", "File; else ensemble.h5 in the folder.")] = None,
     force: Force = False,
 ) -> int:
-    """Join the members in a folder into one HDF5 file, with member, seed and values as coordinates, and draw bands."""
+    """Join the members in a folder into one HDF5 file, with member, seed and values as coordinates, and draw bands.
+
+    A file that has them all already is left alone, as after `jaxmps ensemble` by one process.
+    """
     from jaxmps import plotting
-    from jaxmps.io import gather, write_ensemble
+    from jaxmps.io import gather, gathered, write_ensemble
 
     path = out or folder / "ensemble.h5"
-    refuse(path, force)
-    refuse(path.with_suffix(".png"), force)
+    picture = path.with_suffix(".png")
+    found = gathered(path, folder) if path.is_file() and not force else None
+    if found is None:
+        refuse(path, force)
+        refuse(picture, force)
+    elif found.kept == found.members and picture.is_file():
+        print(f"All {found.members} members in {folder} are in {path} already: there is nothing to gather.")
+        return 0
+    else:  # nothing is lost with it: what it has is in the folder, too
+        print(f"{path} has {found.kept} of the {found.members} members in {folder}: file and picture are made anew.")
     result = gather(folder)
     prepare(path.parent)
-    write_ensemble(path, result, overwrite=force)
-    plotting.bands(result).savefig(path.with_suffix(".png"), dpi=150)
+    write_ensemble(path, result, overwrite=force or found is not None)
+    plotting.bands(result).savefig(picture, dpi=150)
     last = {
         name: f"{result.mean(name)[-1]:.6g} ± {result.variance(name)[-1] ** 0.5:.2g}" for name in ("energy", "front")
     }
     rows = {"members": len(result), **{f"{name} at the end": text for name, text in last.items()}}
     print_table("ensemble", rows | {name: _range(column) for name, column in result.values.items()})
     print(path)
-    print(path.with_suffix(".png"))
+    print(picture)
     lost = [(k, outcome) for k, outcome in zip(result.member, result.status, strict=True) if not outcome.completed]
     if lost:
         return fail(f"{len(lost)} of {len(result)} members failed, member {lost[0][0]} first: {lost[0][1]}", FAILED)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from jaxmps.command_line.ensemble import ensemble, gather
-from jaxmps.command_line.options import USUAL_TYPES, Color, File, Force, Types, real, whole
+from jaxmps.command_line.options import USUAL_TYPES, Color, Command, File, Force, Group, Types, named, real, whole
 from jaxmps.command_line.output import (
     FAILED,
     INTERRUPTED,
@@ -24,7 +24,7 @@ from jaxmps.command_line.output import (
 )
 from jaxmps.command_line.run import check, new, resume, run
 
-app = typer.Typer(add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")
+app = typer.Typer(cls=Group, add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -70,15 +70,15 @@ def _top(
     pass
 
 
-app.command()(run)
-app.command()(resume)
-app.command()(check)
-app.command()(new)
-app.command()(ensemble)
-app.command()(gather)
+app.command(cls=Command)(run)
+app.command(cls=Command)(resume)
+app.command(cls=Command)(check)
+app.command(cls=Command)(new)
+app.command(cls=Command)(ensemble)
+app.command(cls=Command)(gather)
 
 
-@app.command()
+@app.command(cls=Command)
 def cases(name: Annotated[str | None, typer.Argument(help="One case, in full.")] = None) -> None:
     """List the cases and their arguments."""
     from jaxmps.casefile.arguments import case_factories
@@ -86,7 +86,7 @@ def cases(name: Annotated[str | None, typer.Argument(help="One case, in full.")]
     catalog("case", case_factories(), name)
 
 
-@app.command()
+@app.command(cls=Command)
 def schemes(
     name: Annotated[str | None, typer.Argument(help="One scheme, in full.")] = None,
 ) -> None:
@@ -99,12 +99,12 @@ def schemes(
         print_table("values for --set", values_of(known[name]()))
 
 
-@app.command()
+@app.command(cls=Command)
 def show(
     file: File,
     frame: Annotated[int, whole("Which frame to draw; -1 is the last.")] = -1,
     color: Color = "pressure",
-    out: Annotated[Path | None, typer.Option(help="Picture; else next to the file.")] = None,
+    out: Annotated[Path | None, named("FILE", "Picture; else next to the file.")] = None,
     force: Force = False,
 ) -> None:
     """Tell what is in a file, and draw a frame of it."""
@@ -122,11 +122,11 @@ def show(
     typer.echo(picture)
 
 
-@app.command()
+@app.command(cls=Command)
 def plot(
     what: Annotated[str, typer.Argument(help="energy or front.")],
     file: File,
-    out: Annotated[Path | None, typer.Option(help="Picture; else next to the file.")] = None,
+    out: Annotated[Path | None, named("FILE", "Picture; else next to the file.")] = None,
     force: Force = False,
 ) -> None:
     """Plot energies, or the surge front of a dam break, against time."""
@@ -143,10 +143,10 @@ def plot(
     typer.echo(picture)
 
 
-@app.command()
+@app.command(cls=Command)
 def animate(
     file: File,
-    out: Annotated[Path | None, typer.Option(help="GIF or MP4; else next to the file.")] = None,
+    out: Annotated[Path | None, named("FILE", "GIF or MP4; else next to the file.")] = None,
     color: Color = "pressure",
     fps: Annotated[float, real("Frames per second.")] = 25.0,
     force: Force = False,
@@ -162,12 +162,12 @@ def animate(
     typer.echo(picture)
 
 
-@app.command()
+@app.command(cls=Command)
 def export(
     file: File,
-    to: Annotated[str, typer.Option(help="csv, prof, vtu or vtp.")],
-    frame: Annotated[str, typer.Option(help="Which frame; -1 is the last; or all, each to its file.")] = "-1",
-    out: Annotated[Path | None, typer.Option(help="File; else next to the run's. For all: numbers are added.")] = None,
+    to: Annotated[str, named("FORMAT", "csv, prof, vtu or vtp.")],
+    frame: Annotated[str, named("NUMBER|all", "Which frame; -1 is the last; or all, each to its file.")] = "-1",
+    out: Annotated[Path | None, named("FILE", "File; else next to the run's. For all: numbers are added.")] = None,
     types: Types = USUAL_TYPES,
     force: Force = False,
 ) -> None:

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 File = Annotated[Path, typer.Argument(help="A file that `jaxmps run` wrote, or its directory.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that exist.")]
-Color = Annotated[str, typer.Option(help="pressure, speed, phase, number_density, kind or surface.")]
+Color = Annotated[str, typer.Option(metavar="NAME", help="pressure, speed, phase, number_density, kind or surface.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
@@ -20,9 +21,35 @@ Settings = Annotated[
 
 Types = Annotated[
     str,
-    typer.Option(help="Meaning of a .prof's types, NUMBER=KIND or NUMBER=KIND:PHASE with commas in between."),
+    typer.Option(
+        metavar="TYPES", help="Meaning of a .prof's types, NUMBER=KIND or NUMBER=KIND:PHASE with commas in between."
+    ),
 ]
 USUAL_TYPES = "0=fluid,2=wall,3=dummy,-1=removed"
+
+
+class _FlagsWithoutType:
+    """Help tells what an option takes; a flag takes nothing, but newer releases of typer write `<bool>` behind it."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        params = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+        return params
+
+
+class Command(_FlagsWithoutType, TyperCommand):
+    """A command of `jaxmps`."""
+
+
+class Group(_FlagsWithoutType, TyperGroup):
+    """`jaxmps` itself."""
+
+
+def named(metavar: str, text: str) -> Any:
+    """An option that takes a name, a file or the like."""
+    return typer.Option(metavar=metavar, help=text)
 
 
 def real(text: str) -> Any:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from jaxmps.command_line.options import Force, Settings, real, whole
+from jaxmps.command_line.options import Force, Settings, named, real, whole
 from jaxmps.command_line.output import prepare, print_table, refuse, say
 from jaxmps.command_line.runs import begin, carry_on
 from jaxmps.command_line.setup import prepare_case
@@ -13,16 +13,16 @@ from jaxmps.command_line.setup import prepare_case
 
 def run(
     case: Annotated[str, typer.Argument(help="One of `jaxmps cases`, or a case file (.toml).")],
-    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
+    scheme: Annotated[str | None, named("NAME", "One of `jaxmps schemes`; else the file's, or mps.")] = None,
     spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
     until: Annotated[float | None, real("Time in s at which the run ends; else the file's, or 2.")] = None,
     save_every: Annotated[float | None, real("Time in s from frame to frame; else the file's, or 0.02.")] = None,
     dt: Annotated[float | None, real("Fixed time step in s; else adaptive.")] = None,
     seed: Annotated[int | None, whole("Seed of noise and jitter; else the file's, or 0.")] = None,
     jitter: Annotated[float | None, real("Random displacement at the start, in spacings; else the file's.")] = None,
-    precision: Annotated[str | None, typer.Option(help="single or double; else the file's, or double.")] = None,
-    on_blowup: Annotated[str, typer.Option(help="stop, or halve-dt: go back a frame and take half the step.")] = "stop",
-    out: Annotated[Path | None, typer.Option(help="Directory; else named after the case.")] = None,
+    precision: Annotated[str | None, named("NAME", "single or double; else the file's, or double.")] = None,
+    on_blowup: Annotated[str, named("NAME", "stop, or halve-dt: go back a frame and take half the step.")] = "stop",
+    out: Annotated[Path | None, named("DIR", "Directory; else named after the case.")] = None,
     checkpoint_every: Annotated[float | None, real("Time in s between checkpoints for resume; else none.")] = None,
     settings: Settings = None,
     force: Force = False,
@@ -45,10 +45,10 @@ def resume(
 
 def check(
     case: Annotated[str, typer.Argument(help="A case file (.toml), or one of `jaxmps cases`.")],
-    scheme: Annotated[str | None, typer.Option(help="One of `jaxmps schemes`; else the file's, or mps.")] = None,
+    scheme: Annotated[str | None, named("NAME", "One of `jaxmps schemes`; else the file's, or mps.")] = None,
     spacing: Annotated[float | None, real("Spacing of the particles in m; else the case's.")] = None,
     settings: Settings = None,
-    out: Annotated[Path | None, typer.Option(help="Picture; else named after the case.")] = None,
+    out: Annotated[Path | None, named("FILE", "Picture; else named after the case.")] = None,
     force: Force = False,
 ) -> None:
     """Check a case before it runs: draws it, counts particles, and estimates steps, memory and time."""

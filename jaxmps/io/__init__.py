@@ -10,7 +10,8 @@ from jaxmps.io.checkpoint import write_checkpoint as write_checkpoint
 from jaxmps.io.exchange import FORMATS as FORMATS
 from jaxmps.io.exchange import export as export
 from jaxmps.io.exchange import particles_from as particles_from
-from jaxmps.io.member_files import gather as gather
+from jaxmps.io.gathering import gather as gather
+from jaxmps.io.gathering import gathered as gathered
 from jaxmps.io.member_files import read_ensemble as read_ensemble
 from jaxmps.io.member_files import write_ensemble as write_ensemble
 from jaxmps.io.text import TYPES as TYPES

@@ -36,7 +36,7 @@ class MemberFiles:
             for path in self.folder.glob("member-*.h5"):
                 path.unlink(missing_ok=True)
         elif head.exists():
-            old, new = _load(head), json.loads(_dump(about))
+            old, new = load(head), json.loads(_dump(about))
             known, mine = old.get("members") or [], new["members"]
             alike = all(a == b for a, b in zip(known, mine, strict=False))  # more members make it larger
             if not alike or {**old, "members": 0} != {**new, "members": 0}:
@@ -61,25 +61,6 @@ class MemberFiles:
 
     def _path(self, number: int) -> Path:
         return self.folder / f"member-{number:06d}.h5"
-
-
-def gather(folder: str | Path) -> Ensemble:
-    """All members in a folder that `ensemble` has written, by whatever processes. Raises `ValueError` if there are none
-    or if some are missing, with their numbers: the same command as before computes these.
-    """
-    folder = Path(folder)
-    paths = sorted(folder.glob("member-*.h5"))
-    head = folder / "ensemble.json"
-    if not (head.exists() and paths):
-        raise ValueError(f"folder must be one that an ensemble was written to, got {folder} without members")
-    expected = set(range(len(_load(head)["members"])))
-    missing = sorted(expected - {int(path.stem.split("-")[1]) for path in paths})
-    if missing:
-        raise ValueError(
-            f"folder must hold all {len(expected)} members, got {folder} without {len(missing)} of them, the first "
-            f"{missing[0]}: run the same command again"
-        )
-    return Ensemble.join([read_ensemble(path) for path in paths])
 
 
 def write_ensemble(path: str | Path, ensemble: Ensemble, overwrite: bool = False) -> None:
@@ -155,7 +136,8 @@ def _dump(about: dict[str, Any]) -> str:
     return json.dumps(about, indent=2, sort_keys=True, default=str)
 
 
-def _load(head: Path) -> dict[str, Any]:
+def load(head: Path) -> dict[str, Any]:
+    """What `ensemble.json` tells of the ensemble in its folder; `ValueError` if it is damaged."""
     try:
         return dict(json.loads(head.read_text(encoding="utf-8")))
     except ValueError as error:

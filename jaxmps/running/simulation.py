@@ -90,6 +90,8 @@ def simulate(
     state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
     same way. `start` carries on from another state. With `on_blowup="halve-dt"` a run that blows up goes back to its
     last frame and on from there with half the time step, at most ten times in a row; each is an event of the status.
+    Unless `progress` is false, a bar shows how far the run is, or a line on stderr every ten seconds where there is
+    neither terminal nor notebook.
 
     With `checkpoint_every` [s] all that the run goes on from is kept beside `out`, in a file with `.checkpoint` behind
     its name: at the start and then at the first pause of the compiled steps, some tenths of a second of wall time
@@ -140,7 +142,7 @@ def march(
 ) -> Run:
     """The rest of a run, from where its loop stands to the frame number `first` of those at `times` [s], and on."""
     loop = rescue.loop
-    with meter(times[-1], progress) as bar:
+    with meter(times[-1], progress, float(loop.state.time)) as bar:
         try:
             for frame in range(first, len(times)):
                 look = (lambda: None) if checkpoints is None else partial(checkpoints.look, frame)
