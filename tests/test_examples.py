@@ -133,6 +133,7 @@ def test_the_stochastic_dam_break_example_sloshes_and_says_what_a_large_alpha_do
     assert {p.name for p in tmp_path.glob("*.png")} == {"energy.png", "frames.png"}
 
 
+@pytest.mark.slow
 def test_the_recovery_example_finds_both_velocities(tmp_path):
     found = load("recover_initial_velocity").main(spacing=0.1, until=0.1, updates=60, out=str(tmp_path))
     # In full size, to 1 %: here are 100 particles and a third of the updates.
@@ -151,6 +152,7 @@ def test_the_growth_example_shows_growth_and_what_windows_do(tmp_path, capsys):
     assert (tmp_path / "growth.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_sloshing_example_follows_linear_theory_and_swings_at_the_first_mode(tmp_path, monkeypatch, capsys):
     example = load("sloshing")
     monkeypatch.setattr(example, "RATIOS", (0.8,))

@@ -115,6 +115,7 @@ def test_a_particle_that_leaves_the_domain_is_taken_out_counted_and_reported(sch
     assert run.summary["fluid_particles"] == 49 and run.status.events[0].particle == 0
 
 
+@pytest.mark.slow
 def test_single_and_double_precision_agree_on_the_front():
     fronts = []
     for x64 in (False, True):

@@ -88,6 +88,7 @@ def test_recordings_are_those_of_each_step(flow, steps, segment):
     np.testing.assert_allclose(position[2], few.particles.position, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_root_of_the_steps(flow):
     case, scheme, start = flow
 
