@@ -74,6 +74,7 @@ def make(name: str, steps: int, tolerance: float) -> SimpleNamespace:
         "velocity": jnp.array(np.where(moves, velocity, 0.0)),
         "dt": jnp.array(DT),
     }
+    values = {leaf: jnp.array(np.asarray(x)) for leaf, x in values.items()}  # not weakly typed: one compilation for all
 
     def seen(state):
         """What chooses branches: neighbors, the surface, and where the pressure is cut off; then the pressure."""

@@ -46,7 +46,7 @@ def whole(flow):
     return value_and_slope(flow, 12, segment=12)
 
 
-@pytest.mark.parametrize("segment", [None, 5])
+@pytest.mark.parametrize("segment", [pytest.param(None, marks=pytest.mark.slow), 5])
 def test_segments_change_neither_run_nor_derivative(flow, whole, segment):
     value, slope = value_and_slope(flow, 12, segment=segment)
     assert value == pytest.approx(whole[0], rel=1e-12)
@@ -62,21 +62,34 @@ def test_the_derivative_in_windows_is_that_of_each_window_by_itself(flow):
         record = lambda s: jnp.mean(s.particles.velocity**2)  # noqa: E731
         return jnp.sum(mps.rollout(case, changed, start, steps=8, dt=DT, window=4, record=record)[2])
 
-    def apart(alpha):
-        changed = eqx.tree_at(lambda s: s.noise.alpha, scheme, alpha)
-        record = lambda s: jnp.mean(s.particles.velocity**2)  # noqa: E731
-        half, _, first = mps.rollout(case, changed, start, steps=4, dt=DT, record=record)
-        _, _, second = mps.rollout(case, changed, jax.lax.stop_gradient(half), steps=4, dt=DT, record=record)
-        return jnp.sum(first) + jnp.sum(second)
+    @quick
+    def one_window(alpha, begin):
+        def energies(alpha):
+            changed = eqx.tree_at(lambda s: s.noise.alpha, scheme, alpha)
+            record = lambda s: jnp.mean(s.particles.velocity**2)  # noqa: E731
+            end, _, every = mps.rollout(case, changed, begin, steps=4, dt=DT, record=record)
+            return jnp.sum(every), end
+
+        return jax.grad(energies, has_aux=True)(alpha)
 
     alpha = jnp.asarray(0.03)
     in_windows = quick(jax.grad(windows))(alpha)
-    assert float(in_windows) == pytest.approx(float(quick(jax.grad(apart))(alpha)), rel=1e-8)
-    assert abs(float(in_windows)) > 1e-9
+    first, half = one_window(alpha, start)
+    second, _ = one_window(alpha, half)
+    assert float(in_windows) == pytest.approx(float(first + second), rel=1e-8)
+    assert abs(float(in_windows)) > 1e-9 and abs(float(second)) > 1e-9
 
 
-@pytest.mark.parametrize(("steps", "segment"), [(7, None), (7, 3), (6, 6)])
-def test_recordings_are_those_of_each_step(flow, steps, segment):
+@pytest.fixture(scope="module")
+def three_steps(flow):
+    case, scheme, start = flow
+    return quick(lambda start: mps.rollout(case, scheme, start, steps=3, dt=DT))(start)[0].particles.position
+
+
+@pytest.mark.parametrize(
+    ("steps", "segment"), [(7, 3), *(pytest.param(n, s, marks=pytest.mark.slow) for n, s in [(7, None), (6, 6)])]
+)
+def test_recordings_are_those_of_each_step(flow, three_steps, steps, segment):
     case, scheme, start = flow
     record = lambda s: (s.particles.position, s.time)  # noqa: E731
     roll = quick(lambda start: mps.rollout(case, scheme, start, steps=steps, dt=DT, record=record, segment=segment))
@@ -84,8 +97,7 @@ def test_recordings_are_those_of_each_step(flow, steps, segment):
     np.testing.assert_allclose(time, DT * np.arange(1, steps + 1), rtol=1e-12)
     np.testing.assert_array_equal(position[-1], end.particles.position)
     assert info.dt.shape == (steps,)
-    few, _ = quick(lambda start: mps.rollout(case, scheme, start, steps=3, dt=DT))(start)
-    np.testing.assert_allclose(position[2], few.particles.position, atol=1e-10)
+    np.testing.assert_allclose(position[2], three_steps, atol=1e-10)
 
 
 @pytest.mark.slow
