@@ -196,6 +196,7 @@ def test_a_tank_at_constant_acceleration_would_have_a_plane_surface():
     assert float(Constant()(jnp.zeros(()))) == 0.0
 
 
+@pytest.mark.slow
 def test_a_small_sway_moves_the_center_of_mass_as_linear_theory_says():
     length, depth, amplitude, w = 0.9, 0.3, 0.02, 4.0
     motion = {"kind": "sway", "amplitude": amplitude, "period": 2.0 * math.pi / w, "phase": -90.0}
