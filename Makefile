@@ -2,12 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: help demo test test-all lint format bench docs clean
+.PHONY: help demo test test-all coverage lint format bench docs clean
 
 help:
 	@echo "make demo    run a dam break and animate it"
 	@echo "make test    format check, lint, types, layers, tests"
 	@echo "make test-all  tests and those that take long and show more of the same"
+	@echo "make coverage  which lines and branches the tests reach"
 	@echo "make lint    all of these but the tests"
 	@echo "make format  format the code"
 	@echo "make bench   run the benchmarks"
@@ -52,6 +53,9 @@ test: lint
 
 test-all: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m ""
+
+coverage: .venv/.installed-test
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --cov=jaxmps --cov-branch
 
 format: .venv/.installed-test
 	$(BIN)/ruff format .

@@ -4,6 +4,7 @@ python examples/hydrostatic.py [--out DIR]
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,14 +51,16 @@ def main(
     height: float = 0.4,
     until: float = 1.0,
     out: str = "out/hydrostatic",
+    names: Sequence[str] = ("2-D", "3-D"),
 ) -> dict[str, Rest]:
-    """Runs both tanks, prints the table and draws the profiles."""
+    """Runs the tanks, prints the table and draws the profiles."""
     tanks = {
         "2-D": mps.cases.hydrostatic(spacing=spacing, length=height, height=height),
         "3-D": mps.cases.hydrostatic(spacing=spacing, length=height / 2, depth=height / 2, height=height),
     }
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    tanks = {name: tanks[name] for name in names}
+    figure = Figure(figsize=(4 * len(tanks), 3.6), layout="constrained")
+    axes = figure.subplots(1, len(tanks), sharey=True, squeeze=False)[0]
     results = {}
     print("tank  particles   bottom p / exact   max |height / H - 1|   max kinetic / (g H)")
     for ax, (name, case) in zip(axes, tanks.items(), strict=True):

@@ -2,6 +2,7 @@
 
 import itertools
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +62,13 @@ CLOUD = SimpleNamespace(points=np.random.default_rng(3).uniform(0, 1.2, (150, 2)
 def cloud() -> tuple[Pairs, jax.Array]:
     near = table(CLOUD.points, 2.1 * SPACING)
     return near, pair_weight(near, 2.1 * SPACING)
+
+
+def strength(model: Any, p: jax.Array, near: Pairs, w: jax.Array, n0: float) -> np.ndarray:
+    """What stands for p_j − p_i in the part that each pair has in this gradient: D/n0 (p_j − p_i) w r_ij / r²."""
+    ones = jnp.ones_like(w)
+    parts = [jax.grad(lambda w, a=a: jnp.sum(model(p, ones, near, w, n0)[:, a]))(w) for a in range(near.dim)]
+    return np.asarray(n0 / near.dim * sum(part * r for part, r in zip(parts, near.r_ij, strict=True)))
 
 
 def couple(r: np.ndarray) -> Pairs:

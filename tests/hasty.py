@@ -11,6 +11,7 @@ import jax
 from jaxmps import _compilation
 
 USUAL = _compilation._OPTIONS
+USERS = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
 
 
 @functools.cache
@@ -36,7 +37,8 @@ def hurry() -> None:
 @contextmanager
 def with_care() -> Iterator[None]:
     """What is first compiled here is compiled as users get it."""
-    _compilation._OPTIONS = USUAL | {"xla_backend_optimization_level": 3}
+    # The environment of the tests switches off what `options` does.
+    _compilation._OPTIONS = USUAL | {name: USERS[name] for name in options()}
     _compilation.compiler_options.cache_clear()
     yield
     hurry()

@@ -101,6 +101,7 @@ def test_a_splash_has_the_particles_that_were_asked_for(particles):
     assert lonely.sum() > 1
 
 
+@pytest.mark.slow
 def test_the_benchmark_writes_its_table(tmp_path, monkeypatch, capsys):
     file = tmp_path / "table.json"
     monkeypatch.setattr(sys, "argv", ["benchmarks", "--quick", "--sizes", "2k", "--json", str(file)])

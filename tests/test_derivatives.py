@@ -1,4 +1,4 @@
-"""Derivatives of runs of 50 steps by all that is a number: reverse mode, forward mode and central differences.
+"""Derivatives of runs by all that is a number: reverse mode, forward mode and central differences.
 
 Every scheme runs with viscosity and with the stochastic velocity, so that all its models are passed through.
 """
@@ -16,7 +16,7 @@ from hasty import quick
 import jaxmps
 from jaxmps import cases, schemes
 
-STEPS, DT = 50, 5e-4
+DT = 5e-4
 SCHEMES = ("mps", "cmps_hs", "mps_hs_gc", "mps_hs_gc_ds", "mps_cd_gc_ds")
 FLOW = ("position", "velocity", "density", "gravity", "viscosity", "dt")
 LEAVES = {
@@ -30,7 +30,19 @@ THRESHOLDS = {"free_surface.beta", "free_surface.asymmetry", "free_surface.spars
 """Where they lie decides between branches, which have no derivative."""
 TIME_STEP = {"time_step.courant", "time_step.gravity_limit"}
 """Not asked while dt is given."""
+SHORT = ("mps", "cmps_hs", "mps_cd_gc_ds")
+"""What takes the time is to compile a scheme, and these three have the models of all: 12 steps; slowly all and 50."""
+
+
+def run(name: str, *more: str, short: bool = True):
+    """The parameters `name`, `steps` and, if there are, more."""
+    return pytest.param(name, 12 if short else 50, *more, marks=() if short else pytest.mark.slow)
+
+
+RUNS = [run(name) for name in SHORT] + [run(name, short=False) for name in SCHEMES]
+RUN = pytest.mark.parametrize(("name", "steps"), RUNS)
 ALL = [(scheme, leaf) for scheme in SCHEMES for leaf in (*LEAVES[scheme], *FLOW)]
+LEAF_OF_RUN = [run(*pair) for pair in ALL if pair[0] in SHORT] + [run(*pair, short=False) for pair in ALL]
 
 
 def named_leaves(scheme) -> dict[str, jax.Array]:
@@ -43,7 +55,7 @@ def with_leaves(scheme, values):
     return jax.tree.unflatten(tree, [values.get(name, leaf) for name, leaf in zip(names, leaves, strict=True)])
 
 
-def make(name: str, tolerance: float) -> SimpleNamespace:
+def make(name: str, steps: int, tolerance: float) -> SimpleNamespace:
     """Two layers of a viscous fluid off its lattice, the upper one lighter, that is being compressed: pairs overlap."""
     case = cases.two_layer(spacing=0.1, length=0.4, lower_height=0.3, upper_height=0.3, freeboard=0.2)
     moves = np.asarray(case.particles.fluid)[:, None]
@@ -62,6 +74,7 @@ def make(name: str, tolerance: float) -> SimpleNamespace:
         "velocity": jnp.array(np.where(moves, velocity, 0.0)),
         "dt": jnp.array(DT),
     }
+    values = {leaf: jnp.array(np.asarray(x)) for leaf, x in values.items()}  # not weakly typed: one compilation for all
 
     def seen(state):
         """What chooses branches: neighbors, the surface, and where the pressure is cut off; then the pressure."""
@@ -77,19 +90,21 @@ def make(name: str, tolerance: float) -> SimpleNamespace:
         begin = eqx.tree_at(lambda s: (s.particles.position, s.particles.velocity), start, flow)
         key = jax.random.key(1)
         state, info, (chosen, pressure) = jaxmps.rollout(
-            changed, with_leaves(scheme, v), begin, steps=STEPS, dt=v["dt"], key=key, record=seen
+            changed, with_leaves(scheme, v), begin, steps=steps, dt=v["dt"], key=key, record=seen
         )
         end = state.particles
         value = jnp.sum(weights[0] * end.position) / 0.1 + jnp.sum(weights[1] * end.velocity)
         return value + jnp.sum(weights[1, :, 0] * jnp.mean(pressure, axis=0)) / 1e4, (info, chosen, pressure)
 
     reverse = quick(jax.value_and_grad(loss, has_aux=True))
-    return SimpleNamespace(values=values, loss=loss, reverse=reverse, lattice=lattice)
+    return SimpleNamespace(
+        values=values, loss=loss, reverse=reverse, lattice=lattice, pressed=np.asarray(case.particles.has_pressure)
+    )
 
 
 @functools.cache
-def problem(name: str) -> SimpleNamespace:
-    p = make(name, 1e-13)
+def problem(name: str, steps: int) -> SimpleNamespace:
+    p = make(name, steps, 1e-13)
     (p.value, p.aux), p.gradient = p.reverse(p.values)
     p.forward = quick(lambda v, t: jax.jvp(p.loss, (v,), (t,), has_aux=True))
     return p
@@ -106,13 +121,15 @@ def slope(p: SimpleNamespace, tangent: dict[str, jax.Array]) -> float:
     return float(sum(jnp.vdot(p.gradient[k], tangent[k]) for k in tangent))
 
 
-@pytest.mark.parametrize("name", SCHEMES)
-def test_the_run_is_a_generic_one_and_no_leaf_is_left_out(name):
-    p = problem(name)
-    info, (near, surface, _), pressure = p.aux
+@RUN
+def test_the_run_is_a_generic_one_and_no_leaf_is_left_out(name, steps):
+    p = problem(name, steps)
+    info, (near, surface, zero), pressure = p.aux
     assert not np.any(info.status)
     assert pressure.max() > 1000.0
-    assert (pressure.min() < -100.0) == (name not in ("mps", "cmps_hs"))
+    clipped = name in ("mps", "cmps_hs")
+    assert (pressure.min() < -100.0) == (not clipped)
+    assert np.any(zero & ~surface & p.pressed) == clipped
     assert 3 < surface[-1].sum() < surface.shape[1] // 2
     assert np.any(near[0] != near[-1])
     assert np.any(np.asarray(info.given) > 0.0)
@@ -121,9 +138,9 @@ def test_the_run_is_a_generic_one_and_no_leaf_is_left_out(name):
     assert set(p.values) - set(FLOW) <= known
 
 
-@pytest.mark.parametrize(("name", "leaf"), ALL)
-def test_reverse_mode_is_forward_mode_and_central_differences(name, leaf):
-    p = problem(name)
+@pytest.mark.parametrize(("name", "steps", "leaf"), LEAF_OF_RUN)
+def test_reverse_mode_is_forward_mode_and_central_differences(name, steps, leaf):
+    p = problem(name, steps)
     tangent = along(p, leaf)
     reverse = slope(p, tangent)
     _, forward, _ = p.forward(p.values, tangent)
@@ -143,17 +160,17 @@ def test_reverse_mode_is_forward_mode_and_central_differences(name, leaf):
     assert reverse == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-4)
 
 
-@pytest.mark.parametrize("name", SCHEMES)
-def test_thresholds_and_unused_limits_have_no_derivative(name):
-    p = problem(name)
+@RUN
+def test_thresholds_and_unused_limits_have_no_derivative(name, steps):
+    p = problem(name, steps)
     for leaf in (THRESHOLDS | TIME_STEP) & set(p.values):
         assert float(p.gradient[leaf]) == 0.0
 
 
-@pytest.mark.parametrize("name", SCHEMES)
-def test_derivatives_of_a_run_from_rest_on_a_lattice_are_finite(name):
+@RUN
+def test_derivatives_of_a_run_from_rest_on_a_lattice_are_finite(name, steps):
     # No velocity and no overlap, where roots have no derivative.
-    p = problem(name)
+    p = problem(name, steps)
     rest = {**p.values, "position": jnp.array(p.lattice), "velocity": jnp.zeros_like(p.values["velocity"])}
     (_, (info, _, _)), gradient = p.reverse(rest)
     assert not np.any(info.stabilized[0])
@@ -162,13 +179,13 @@ def test_derivatives_of_a_run_from_rest_on_a_lattice_are_finite(name):
 
 
 @pytest.mark.parametrize("precision", ["single"], indirect=True)
-@pytest.mark.parametrize("name", SCHEMES)
-def test_single_precision_gives_the_derivatives_of_double(name, precision):
+@pytest.mark.parametrize(("name", "steps"), [run("mps_cd_gc_ds"), *(run(name, short=False) for name in SCHEMES)])
+def test_single_precision_gives_the_derivatives_of_double(name, steps, precision):
     # Without noise, whose draws differ between the precisions.
     with jax.enable_x64(True):
-        double = problem(name)
+        double = problem(name, steps)
         expectations = double.reverse({**double.values, "noise.alpha": jnp.zeros(())})[1]
-    single = make(name, 1e-6)
+    single = make(name, steps, 1e-6)
     assert single.values["velocity"].dtype == jnp.float32
     gradient = single.reverse({**single.values, "noise.alpha": jnp.zeros(())})[1]
     for leaf in (*LEAVES[name][1:], *FLOW):
@@ -183,15 +200,22 @@ def test_derivative_by_the_time_step_that_the_scheme_chooses():
     scheme = schemes.mps(tolerance=1e-13)
     start = jaxmps.start(case, scheme)
 
-    def loss(scheme, gravity):
-        end, _ = jaxmps.rollout(eqx.tree_at(lambda c: c.gravity, case, gravity), scheme, start, steps=3)
-        return jnp.sum(end.particles.position**2)
+    @quick
+    def value_and_slopes(scheme, gravity, velocity):
+        def loss(scheme, gravity, velocity):
+            moving = eqx.tree_at(lambda s: s.particles.velocity, start, velocity)
+            end, _ = jaxmps.rollout(eqx.tree_at(lambda c: c.gravity, case, gravity), scheme, moving, steps=3)
+            return jnp.sum(end.particles.position**2) + jnp.sum(end.particles.velocity)
 
-    by_scheme, by_gravity = quick(jax.grad(loss, argnums=(0, 1)))(scheme, case.gravity)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((by_scheme, by_gravity)))
+        return jax.value_and_grad(loss, argnums=(0, 1, 2))(scheme, gravity, velocity)
+
+    rest = case.gravity, start.particles.velocity
+    slopes = value_and_slopes(scheme, *rest)[1]
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
+    by_scheme, _, by_velocity = slopes
+    assert np.any(np.asarray(by_velocity) != 0.0)
     limit, h = scheme.time_step.gravity_limit, 1e-6
-    value = quick(loss)
     near = (eqx.tree_at(lambda s: s.time_step.gravity_limit, scheme, limit + s * h) for s in (1, -1))
-    plus, minus = (float(value(changed, case.gravity)) for changed in near)
+    plus, minus = (float(value_and_slopes(changed, *rest)[0]) for changed in near)
     assert float(by_scheme.time_step.gravity_limit) == pytest.approx((plus - minus) / (2 * h), rel=1e-4)
     assert abs(plus - minus) > 1e-9

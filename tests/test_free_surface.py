@@ -134,12 +134,20 @@ def test_pressure_of_a_slab_is_closer_to_its_parabola_with_the_surface_outside_t
     assert error[HalfSpacing] < 0.25 * error[AtCenters]
 
 
-def test_coefficients_at_the_surface_are_those_of_a_gradient_that_ends_half_a_spacing_outside():
-    # c (p_i − p_s) with p_s = p_i / 3: two thirds of c, for the columns of surface particles alone.
+@pytest.mark.parametrize(("condition", "above"), [(AtCenters(), 0.0), (HalfSpacing(), 0.5)])
+def test_hydrostatic_pressure_is_exactly_the_weight_above_from_a_surface_half_a_spacing_outside_the_centers(
+    condition, above
+):
+    # Neighbors within 1.9 spacings, so that the row below the surface alone is coupled to it. The floor carries all.
     near, row = slab(8)
-    surface = row == 0
-    c = KernelLaplacian()(near, pair_weight(near, RADIUS), 2.1, SPACING)
-    found = np.asarray(HalfSpacing().coefficient(c, jnp.array(surface), near) / jnp.where(c > 0, c, 1.0))
-    there = np.asarray(c > 0)
-    np.testing.assert_allclose(found[there], np.where(surface[near.j], 2.0 / 3.0, 1.0)[there], rtol=1e-15)
-    np.testing.assert_array_equal(AtCenters().coefficient(c, jnp.array(surface), near), c)
+    w, weight = pair_weight(near, 1.9 * SPACING), 1000.0 * 9.81
+    c = KernelLaplacian()(near, w, 1.9, SPACING)
+    surface, zero = row == 7, jnp.zeros(len(row))
+    inside = jnp.array(~surface)
+    push = np.where(row == 0, weight * np.sum(np.asarray(c * near.r_ij[1]), axis=1), 0.0)
+    operator = poisson_operator(near, condition.coefficient(c, jnp.array(surface), near), zero + 1.0, inside)
+    equation = PressureEquation(operator, jnp.array(-push), inside, zero, Jacobi(operator.diagonal))
+    p, convergence = solve(equation, 1e-13, 500)
+    assert convergence.converged
+    p = condition.pressure(p, jnp.array(surface), inside, near, w, SPACING)
+    np.testing.assert_allclose(p, weight * SPACING * (7 - row + above), rtol=1e-10, atol=1e-9)

@@ -40,7 +40,13 @@ hasty.hurry()"""
 """What these tests compute takes less time than to compile it."""
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+SLOW = {"03_tuning_alpha_ds", "04_tuning_alpha_stochastic"}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in SLOW else ()) for path in NOTEBOOKS],
+)
 def test_notebook_runs_and_shows_figures(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     names = [line.split(" = ")[0] for line in notebook.cells[0].source.splitlines()]

@@ -36,7 +36,7 @@ def test_lighter_particle_of_a_pair_takes_the_larger_share_and_all_of_it_from_a_
     np.testing.assert_allclose(share, [1.0, 0.5], rtol=1e-15)
 
 
-@pytest.mark.parametrize("make", [schemes.mps, schemes.mps_hs_gc_ds])
+@pytest.mark.parametrize("make", [schemes.mps, pytest.param(schemes.mps_hs_gc_ds, marks=pytest.mark.slow)])
 def test_two_fluids_of_one_density_flow_as_one(make):
     one = cases.dam_break(spacing=0.05)
     twice = jaxmps.Fluid(density=[1000.0, 1000.0], viscosity=[0.0, 0.0])
@@ -69,7 +69,7 @@ def test_layers_with_their_exact_pressure_are_at_rest_with_paired_densities_and_
     assert residual[OwnDensity] == pytest.approx({600.0: 0.17, 2650.0: 0.42}[upper], abs=0.005)
 
 
-@pytest.mark.parametrize("scheme", [schemes.mps_cd_gc_ds, schemes.mps_hs_gc_ds])
+@pytest.mark.parametrize("scheme", [pytest.param(schemes.mps_cd_gc_ds, marks=pytest.mark.slow), schemes.mps_hs_gc_ds])
 def test_layers_stay_at_rest(scheme):
     case = cases.two_layer(spacing=0.01, length=0.1, lower_height=0.1, upper_height=0.1)
     end, info = jaxmps.rollout(case, scheme(), jaxmps.start(case, scheme()), steps=200, dt=1e-3)

@@ -49,6 +49,7 @@ def dense(operator: PoissonOperator) -> np.ndarray:
     return a
 
 
+@pytest.mark.slow
 def test_solution_is_that_of_a_direct_solve():
     tank = flow("dam_break", 1)
     surface, b = look_up(tank)[1], right_hand_side(tank)
@@ -154,6 +155,7 @@ def run(case, scheme, state):
     return rollout(case, scheme, state, steps=10, dt=0.01)
 
 
+@pytest.mark.slow
 def test_rollouts_with_multigrid_and_with_jacobi_agree():
     start = flow("dam_break", 1)
     case = dataclasses.replace(start.case, gravity=jnp.array([0.0, -9.81]))

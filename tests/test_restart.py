@@ -22,7 +22,6 @@ from jaxmps.running import checkpoints, loop, restart
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 TIMES: dict[str, Any] = {"until": 0.3, "save_every": 0.15}
-BOTH = pytest.mark.parametrize("precision", ["single", "double"], indirect=True)
 SCHEMES = {
     "stochastic": lambda: mps.schemes.stochastic(mps.schemes.mps(), alpha=0.05),
     "stabilized": lambda: mps.schemes.mps_hs_gc_ds(),
@@ -74,8 +73,16 @@ def assert_same(ours: Path, theirs: Path, run: mps.Run, alone: mps.Run) -> None:
     assert {name: run.summary[name] for name in counted} == {name: alone.summary[name] for name in counted}
 
 
-@BOTH
-@pytest.mark.parametrize("name", SCHEMES)
+@pytest.mark.parametrize(
+    ("precision", "name"),
+    [
+        ("single", "stabilized"),
+        ("double", "stochastic"),
+        pytest.param("single", "stochastic", marks=pytest.mark.slow),
+        pytest.param("double", "stabilized", marks=pytest.mark.slow),
+    ],
+    indirect=["precision"],
+)
 def test_a_run_that_was_killed_becomes_the_one_that_was_not(precision, name, killed, tmp_path):
     case, scheme, key = dam(), SCHEMES[name](), jax.random.key(3)
     alone = mps.simulate(case, scheme, **TIMES, key=key, out=tmp_path / "alone.vtkhdf")

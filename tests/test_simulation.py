@@ -46,9 +46,13 @@ def test_a_table_that_is_too_small_is_enlarged_without_changing_the_answer(schem
 
 def test_frames_come_at_their_times_and_splitting_a_run_changes_nothing_else(scheme):
     case = dam()
-    run = mps.simulate(case, scheme, until=0.25, save_every=0.1)
+    run = mps.simulate(case, scheme, until=0.25, save_every=0.1, dt=0.005)
     assert np.allclose(run.time, [0.0, 0.1, 0.2, 0.25], rtol=0, atol=1e-12)
     assert run.position.shape == (4, len(case.particles.kind), 2)
+    whole = mps.simulate(case, scheme, until=0.25, dt=0.005)
+    assert run.summary["steps"] == whole.summary["steps"] == 50
+    # Each interval is divided into equal steps, which differ from dt by round-off.
+    np.testing.assert_allclose(run.position[-1], whole.position[-1], atol=1e-9)
 
 
 def test_a_run_carries_on_from_a_state(scheme):
@@ -91,7 +95,6 @@ def test_values_that_are_not_finite_stop_the_run_at_the_last_good_state(scheme):
 
 def test_a_pressure_solve_that_misses_its_tolerance_is_reported(scheme):
     hasty = mps.schemes.mps(tolerance=1e-14)
-    run = mps.simulate(dam(), hasty, until=0.02)
     start = mps.start(dam(), hasty)
     few = mps.Scheme(
         **{f: getattr(hasty, f) for f in hasty.__dataclass_fields__ if f != "max_iterations"},
@@ -115,6 +118,7 @@ def test_a_particle_that_leaves_the_domain_is_taken_out_counted_and_reported(sch
     assert run.summary["fluid_particles"] == 49 and run.status.events[0].particle == 0
 
 
+@pytest.mark.slow
 def test_single_and_double_precision_agree_on_the_front():
     fronts = []
     for x64 in (False, True):

@@ -32,7 +32,7 @@ def center(run: jaxmps.Run) -> np.ndarray:
     [
         # It loses a third of the first crest's height, and a lower wave is faster: the linear one has its crest at
         # 0.8125 s instead of 0.856 s. So the first crest comes 5 to 6.5 % early, and the others 3 to 5 %.
-        pytest.param(schemes.mps_hs_gc_ds(), 0.07, 0.0, id="mps_hs_gc_ds"),
+        pytest.param(schemes.mps_hs_gc_ds(), 0.07, 0.0, id="mps_hs_gc_ds", marks=pytest.mark.slow),
         pytest.param(schemes.mps_cd_gc_ds(kept_velocity=1.0), 0.05, 0.05, id="mps_cd_gc_ds"),
     ],
 )
