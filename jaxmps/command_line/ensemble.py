@@ -1,6 +1,5 @@
 """The commands of ensembles: `jaxmps ensemble` and `jaxmps gather`."""
 
-import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from jaxmps.command_line.files import prepare, refuse
 from jaxmps.command_line.options import Force, Settings, named, real, whole
-from jaxmps.command_line.output import FAILED, fail, prepare, print_table, refuse
-from jaxmps.command_line.setup import prepare_case
+from jaxmps.command_line.output import FAILED, fail, print_table
+from jaxmps.command_line.sweeps import members_of, setups_of
 
 if TYPE_CHECKING:
-    from jaxmps.casefile import Setup
-
-_MOST_POINTS = 10_000
+    pass
 
 
 def ensemble(
@@ -57,8 +55,8 @@ def ensemble(
 
         from jaxmps import ensembles
 
-        setups = _setups(case, scheme, spacing, settings or [], sweep or [], members, options | {"jitter": jitter})
-        made, methods, keys = _members(setups, members)
+        setups = setups_of(case, scheme, spacing, settings or [], sweep or [], members, options | {"jitter": jitter})
+        made, methods, keys = members_of(setups, members)
         prepare(folder)
         if jax.process_index() == 0:
             print(f"{len(methods)} members on {jax.process_count()} processes")
@@ -143,58 +141,6 @@ def _hosts(hosts: str | None, processes: int | None, process: int | None) -> Ite
         raise ValueError(f"hosts must be reachable, or known to JAX, got {hosts}: {error}") from error
     yield True
     jax.distributed.shutdown()
-
-
-def _setups(
-    case: str,
-    scheme: str | None,
-    spacing: float | None,
-    settings: list[str],
-    sweep: list[str],
-    count: int,
-    options: dict[str, Any],
-) -> "list[Setup]":
-    """Case and scheme at each point of the grid that the sweeps span, not jittered yet."""
-    from jaxmps.validation import whole
-
-    whole("members", count, least=1)
-    grid = list(itertools.product(*(_values(text) for text in sweep)))
-    if len(grid) * count > _MOST_POINTS:
-        raise ValueError(f"members must be at most {_MOST_POINTS} in all, got {len(grid) * count}")
-    return [prepare_case(case, scheme, spacing, [*settings, *point], options, jittered=False) for point in grid]
-
-
-def _members(setups: "list[Setup]", count: int) -> tuple[list[Any], list[Any], Any]:
-    """Case, scheme and key of each member: the points in the order of the sweeps, and of each all seeds.
-
-    Seed j is the same key and the same jitter at all points, so that these can be compared.
-    """
-    import jax
-    import jax.numpy as jnp
-
-    from jaxmps import cases
-
-    run = setups[0].run
-    keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(run.seed), k))(jnp.arange(count))
-    made = [cases.jitter(s.case, run.jitter, key) if run.jitter else s.case for s in setups for key in keys]
-    return made, [s.scheme for s in setups for _ in keys], jnp.tile(keys, len(setups))
-
-
-def _values(text: str) -> list[str]:
-    """The settings NAME=VALUE of a sweep."""
-    name, sign, rest = (part.strip() for part in text.partition("="))
-    name = name.removeprefix("stochastic.")
-    rule = f"sweep must have the form NAME=LOW:HIGH:COUNT or NAME=A,B,C, got {text!r}"
-    try:
-        if ":" not in rest:
-            return [f"{name}={float(part)!r}" for part in rest.split(",")]
-        low, high, count = rest.split(":")
-        start, end, points = float(low), float(high), int(count)
-    except ValueError:
-        raise ValueError(rule) from None
-    if not (name and sign) or not 2 <= points <= _MOST_POINTS:
-        raise ValueError(rule)
-    return [f"{name}={start + (end - start) * (k / (points - 1))!r}" for k in range(points)]
 
 
 def _range(column: Any) -> str:

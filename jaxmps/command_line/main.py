@@ -8,20 +8,9 @@ from typing import Annotated
 import typer
 
 from jaxmps.command_line.ensemble import ensemble, gather
+from jaxmps.command_line.files import frames_of, open_run, prepare, refuse
 from jaxmps.command_line.options import USUAL_TYPES, Color, Command, File, Force, Group, Types, named, real, whole
-from jaxmps.command_line.output import (
-    FAILED,
-    INTERRUPTED,
-    WRONG_INPUT,
-    catalog,
-    fail,
-    frames_of,
-    open_run,
-    prepare,
-    print_table,
-    refuse,
-    tell,
-)
+from jaxmps.command_line.output import FAILED, INTERRUPTED, WRONG_INPUT, catalog, fail, print_table, tell
 from jaxmps.command_line.run import check, new, resume, run
 
 app = typer.Typer(cls=Group, add_completion=False, help="A particle solver for free-surface flow: MPS in JAX.")

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
+from jaxmps.command_line.files import prepare, refuse
 from jaxmps.command_line.options import Force, Settings, named, real, whole
-from jaxmps.command_line.output import prepare, print_table, refuse, say
+from jaxmps.command_line.output import print_table, say
 from jaxmps.command_line.runs import begin, carry_on
 from jaxmps.command_line.setup import prepare_case
 

@@ -8,7 +8,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from jaxmps.command_line.output import conclude, prepare, refuse, say
+from jaxmps.command_line.files import prepare, refuse
+from jaxmps.command_line.output import conclude, say
 from jaxmps.command_line.setup import prepare_case
 
 WORDS, PROBES, FAILURE = "run.json", "probes.csv", "failure.png"
