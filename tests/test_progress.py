@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.cells import cell_len
@@ -23,7 +24,7 @@ from jaxmps.running.recorder import Recorder
 # A fixed time step of any size runs the same compiled code, that of the tests of the command line.
 CASE, SCHEME = mps.cases.dam_break(spacing=0.1), mps.schemes.mps()
 USUAL = display.EVERY  # before the tests are told to tell nothing
-STEPS = {"until": 0.05, "save_every": 0.02, "dt": 0.005}
+STEPS: dict[str, Any] = {"until": 0.05, "save_every": 0.02, "dt": 0.005}
 LINE = r"t \d\.\d{5} s of 0\.05, \d:\d\d so far, about (\d:\d\d|\?) left, Δt \S+ s, u \S+ m/s, \S+ s/s"
 COMPILING = r"compiling …, \d:\d\d so far"
 
