@@ -138,7 +138,10 @@ class Log(NamedTuple):
 def empty_log(dim: int) -> Log:
     none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
     count, place = jnp.zeros((), jnp.int32), jnp.zeros((len(BITS), dim))
-    sums = (jnp.zeros(()), jnp.zeros(()), jnp.array(jnp.inf), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
+    far = jnp.full(
+        (), jnp.inf, zero.dtype
+    )  # a bare infinity has a weak type: the program of all later steps another one
+    sums = (jnp.zeros(()), jnp.zeros(()), far, jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
     return Log(count, *sums, none, none, zero, none, place, zero)
 
 

@@ -11,6 +11,8 @@ import pytest
 import jaxmps as mps
 from jaxmps.flow import Status, at_rest
 from jaxmps.models import AbstractVelocityNoise
+from jaxmps.running import loop
+from jaxmps.running.recorder import Recorder
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 
@@ -31,6 +33,16 @@ def test_the_same_run_twice_is_the_same_bit_for_bit(scheme):
     assert first.summary["steps"] > 50
     for name in ("position", "velocity", "pressure", "number_density"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
+
+
+def test_the_steps_of_a_run_are_compiled_once(scheme, monkeypatch):
+    traced, after = [], []
+    usual, save = loop.largest_step, Recorder.save
+    monkeypatch.setattr(loop, "largest_step", lambda *arguments: traced.append(1) or usual(*arguments))
+    monkeypatch.setattr(Recorder, "save", lambda self, state: after.append(len(traced)) or save(self, state))
+    jax.clear_caches()
+    mps.simulate(dam(), scheme, until=0.05, save_every=0.02)
+    assert after[0] == 0 < after[1] == after[2] == after[3]
 
 
 def test_a_table_that_is_too_small_is_enlarged_without_changing_the_answer(scheme):

@@ -21,8 +21,7 @@ from rich.segment import Segment
 EVERY = 10.0
 """Wall time [s] from line to line, where there is no bar."""
 
-_NOTEBOOK_COLUMNS = 80
-_BAR = (4, 24)  # columns of the bar: it takes what the words leave
+_NOTEBOOK_COLUMNS, _BAR = 80, (4, 24)  # of these a bar takes what the words leave
 
 
 class Told(ABC):

@@ -21,7 +21,8 @@ class Meter(Told):
 
     def words(self, wall: str) -> list[str]:
         told = [f"t {_as_precise(self.done, self.total)} s of {self.total:.4g}", wall, f"Δt {self._dt:.2e} s"]
-        return [*told, f"u {self._speed:.3g} m/s", f"{self.pace:.3g} s/s"]
+        pace = [f"{self.pace:.3g} s/s"] if self.pace > 0.0 else []
+        return [*told, f"u {self._speed:.3g} m/s", *pace]
 
 
 class Tally(Told):
