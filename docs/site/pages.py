@@ -39,7 +39,14 @@ SMALL = {
     "01_first_run": {"spacing": 0.025, "until": 0.8},
     "02_schemes_compared": {"spacing": 0.05, "until": 2.0},
     "03_tuning_alpha_ds": {"spacing": 0.08, "until": 1.0, "updates": 7, "seeds": 3},
-    "04_tuning_alpha_stochastic": {"spacing": 0.05, "until": 2.0, "updates": 14, "pairs": 3, "seeds": 3},
+    "04_tuning_alpha_stochastic": {
+        "spacing": 0.05,
+        "until": 2.0,
+        "updates": 10,
+        "rate": 0.6,
+        "pairs": 4,
+        "seeds": 3,
+    },
     "05_ensembles": {
         "spacing": 0.05,
         "until": 1.2,
