@@ -11,7 +11,7 @@ SMALL = {
     "01_first_run": "spacing = 0.1\nuntil = 0.2",
     "02_schemes_compared": "spacing = 0.1\nuntil = 0.2",
     "03_tuning_alpha_ds": "spacing = 0.1\nuntil = 1.2\nupdates = 3\nseeds = 2",
-    "04_tuning_alpha_stochastic": "spacing = 0.1\nuntil = 0.5\nupdates = 3\npairs = 1\nseeds = 2",
+    "04_tuning_alpha_stochastic": "spacing = 0.1\nuntil = 0.5\nupdates = 3\nrate = 0.2\npairs = 1\nseeds = 2",
     "05_ensembles": "spacing = 0.1\nuntil = 0.2\nmembers = 4\n"
     "wave_spacing = 0.1\nwave_until = 0.2\nalphas = 2\nseeds = 2",
 }

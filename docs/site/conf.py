@@ -9,6 +9,7 @@ SITE = Path(__file__).parent
 sys.path[:0] = [str(SITE), str(SITE.parent.parent)]
 
 import pages  # noqa: E402
+from docutils import nodes  # noqa: E402
 
 import jaxmps  # noqa: E402
 
@@ -54,9 +55,17 @@ def fill(app, name, source):
     source[0] = pages.notebook(stem, source[0]) if folder == "notebooks" else pages.filled(source[0])
 
 
+def tidy(app, tree):
+    """Leaves out what a bar of progress leaves behind when it has gone: an empty block."""
+    for block in list(tree.findall(nodes.literal_block)):
+        if not block.astext().strip():
+            block.parent.remove(block)
+
+
 def setup(app):
     """Pages are filled in as they are read, and docstrings, which are plain text, are put into the form of Sphinx."""
     app.connect("source-read", fill)
+    app.connect("doctree-read", tidy)
     app.connect("autodoc-process-docstring", lambda app, kind, name, what, options, lines: pages.marked_up(lines))
     app.connect("autodoc-process-signature", lambda app, *about: pages.shortened(*about[-2:]))
     app.connect("autodoc-skip-member", lambda app, kind, name, member, skip, options: skip or pages.is_foreign(member))

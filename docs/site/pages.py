@@ -36,18 +36,25 @@ MODULES = (
 FIRST = ("simulate", "rollout", "ensemble", "tune")
 """The names that the reference opens with; others follow by the alphabet."""
 SMALL = {
-    "01_first_run": {"spacing": 0.04, "until": 0.8},
+    "01_first_run": {"spacing": 0.025, "until": 0.8},
     "02_schemes_compared": {"spacing": 0.05, "until": 2.0},
-    "03_tuning_alpha_ds": {"spacing": 0.08, "until": 1.0, "updates": 8, "seeds": 4},
-    "04_tuning_alpha_stochastic": {"spacing": 0.05, "until": 2.0, "updates": 20, "pairs": 4, "seeds": 4},
+    "03_tuning_alpha_ds": {"spacing": 0.08, "until": 1.0, "updates": 7, "seeds": 3},
+    "04_tuning_alpha_stochastic": {
+        "spacing": 0.05,
+        "until": 2.0,
+        "updates": 10,
+        "rate": 0.6,
+        "pairs": 4,
+        "seeds": 3,
+    },
     "05_ensembles": {
         "spacing": 0.05,
         "until": 1.2,
-        "members": 32,
+        "members": 24,
         "wave_spacing": 0.04,
         "wave_until": 2.0,
         "alphas": 5,
-        "seeds": 4,
+        "seeds": 3,
     },
 }
 """Parameters that the notebooks of the site run with: about a minute each, and pictures that still show their point."""
