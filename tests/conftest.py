@@ -25,7 +25,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 if "JAXMPS_TESTS_FLAGS" not in os.environ:
     # Programs are compiled with little care, see `hasty`: those of notebooks and commands, too, which inherit this.
     # A release of XLA that does not know a flag ends the process: a short one tries them, for all workers.
-    little_care = " --xla_backend_optimization_level=0"
+    little_care = " --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
     without_emitters = little_care + " --xla_cpu_use_fusion_emitters=false"
     flags = os.environ.get("XLA_FLAGS", "")
     trial = [sys.executable, "-c", "import jax; jax.devices()"]
@@ -72,6 +72,15 @@ def precision(request: pytest.FixtureRequest) -> Iterator[str]:
 @pytest.fixture
 def unchecked() -> Iterator[None]:
     """Annotations are not checked: for what the package itself says to arguments of a wrong type."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", before)
+
+
+@pytest.fixture(scope="module")
+def unchecked_file() -> Iterator[None]:
+    """For a file that runs what others check: checks take an eighth of the time to trace and compile a step."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)

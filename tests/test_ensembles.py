@@ -75,8 +75,13 @@ def test_fixed_steps_are_those_of_single_runs_bit_for_bit_and_of_rollouts_to_rou
     np.testing.assert_allclose(many.position[1, -1], end.particles.position, atol=1e-14)
 
 
-def test_members_in_one_program_are_single_runs_to_round_off(swept, many):
-    together = mps.ensemble(*swept, keys=KEYS, batch=3, **TIMES)
+@functools.cache
+def in_one_program():
+    return mps.ensemble(*sweep(), keys=KEYS, batch=3, **TIMES)
+
+
+def test_members_in_one_program_are_single_runs_to_round_off(many):
+    together = in_one_program()
     # Round-off is amplified by some hundred steps of a chaotic flow.
     np.testing.assert_allclose(together.position, many.position, atol=1e-10)
     np.testing.assert_allclose(together.of("energy"), many.of("energy"), rtol=1e-10)
@@ -86,7 +91,7 @@ def test_members_in_one_program_are_single_runs_to_round_off(swept, many):
 @pytest.mark.parametrize("batch", [1, 3])
 def test_a_member_that_blows_up_stays_as_it_was_and_disturbs_no_other(swept, batch):
     cases, schemes = swept
-    sane = mps.ensemble(*swept, keys=KEYS, batch=batch, **TIMES)
+    sane = in_one_program() if batch == 3 else all_of_them()
     velocity = cases[1].particles.velocity.at[7].set(jnp.nan)
     broken = eqx.tree_at(lambda c: c.particles.velocity, cases[1], velocity)
     many = mps.ensemble([cases[0], broken, cases[2]], schemes, keys=KEYS, batch=batch, **TIMES)
@@ -251,6 +256,7 @@ def test_two_processes_make_the_members_of_one(alone, tmp_path):
     np.testing.assert_allclose(found.values["noise.alpha"], [0.01, 0.01, 0.03, 0.03])
 
 
+@pytest.mark.slow
 def test_after_a_kill_only_missing_members_are_computed(alone, tmp_path):
     process = launch(tmp_path)
     first = tmp_path / "member-000000.h5"
@@ -268,7 +274,7 @@ def test_after_a_kill_only_missing_members_are_computed(alone, tmp_path):
     np.testing.assert_array_equal(mps.gather(tmp_path).of("energy"), alone.of("energy"))
 
 
-def test_members_are_shared_out_over_devices_also_where_they_do_not_divide(tmp_path):
+def test_members_are_shared_out_over_devices_also_where_they_do_not_divide(many, tmp_path):
     code = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
@@ -287,9 +293,6 @@ write_ensemble({str(tmp_path / "many.h5")!r}, many)
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
     found = read_ensemble(tmp_path / "many.h5")
-    cases = [wave(k) for k in range(3)]
-    schemes = [mps.schemes.stochastic(mps.schemes.mps(), alpha=alpha) for alpha in ALPHAS]
-    many = mps.ensemble(cases, schemes, keys=KEYS, **TIMES)
     assert found.member.tolist() == [0, 1, 2]
     np.testing.assert_allclose(found.position, many.position, atol=1e-10)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.usefixtures("unchecked_file")
 ROOT = Path(__file__).parent.parent
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hasty import quick
+from hasty import by_diagonal, quick
 
 import jaxmps as mps
 from jaxmps.flow.motion import AbstractSignal, Bodies, Constant, Rigid, Sine, Table
@@ -151,7 +151,7 @@ def test_the_time_step_knows_how_fast_walls_are():
 
 def test_derivatives_by_the_amplitude_and_frequency_are_those_of_central_differences():
     tank = rolling()
-    scheme = mps.schemes.mps_cd_gc_ds(tolerance=1e-12)
+    scheme = by_diagonal(mps.schemes.mps_cd_gc_ds(tolerance=1e-12))
     start = mps.start(tank, scheme)
     wet = tank.particles.fluid
 

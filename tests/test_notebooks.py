@@ -40,7 +40,7 @@ hasty.hurry()"""
 """What these tests compute takes less time than to compile it."""
 
 
-SLOW = {"03_tuning_alpha_ds", "04_tuning_alpha_stochastic"}
+SLOW = {"02_schemes_compared", "03_tuning_alpha_ds", "04_tuning_alpha_stochastic"}
 
 
 @pytest.mark.parametrize(

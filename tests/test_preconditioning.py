@@ -166,7 +166,9 @@ def test_solution_is_that_with_jacobi(name):
 
 
 @SINGLE
-@pytest.mark.parametrize("name", GROWTH)
+@pytest.mark.parametrize(
+    "name", ["dam_break", *(pytest.param(n, marks=pytest.mark.slow) for n in GROWTH if n != "dam_break")]
+)
 def test_iterations_are_few_in_single_precision(precision, name):
     equations = [set_up_as_found(flow(name, k)) for k in (1, 2)]
     small, large = (iterations(equation)[0] for equation in equations)

@@ -20,7 +20,10 @@ from jaxmps.io import checkpoint_of, image, read_checkpoint, write_checkpoint
 from jaxmps.io.checkpoint import VERSION
 from jaxmps.running import checkpoints, loop, restart
 
-pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning"),
+    pytest.mark.usefixtures("unchecked_file"),
+]
 TIMES: dict[str, Any] = {"until": 0.3, "save_every": 0.15}
 SCHEMES = {
     "stochastic": lambda: mps.schemes.stochastic(mps.schemes.mps(), alpha=0.05),
@@ -76,9 +79,9 @@ def assert_same(ours: Path, theirs: Path, run: mps.Run, alone: mps.Run) -> None:
 @pytest.mark.parametrize(
     ("precision", "name"),
     [
-        ("single", "stabilized"),
         ("double", "stochastic"),
         pytest.param("single", "stochastic", marks=pytest.mark.slow),
+        pytest.param("single", "stabilized", marks=pytest.mark.slow),
         pytest.param("double", "stabilized", marks=pytest.mark.slow),
     ],
     indirect=["precision"],
@@ -301,6 +304,7 @@ def test_a_full_disk_is_one_error_and_the_checkpoint_before_is_intact(copy, half
     kills.compare(copy, half.parent / "alone")
 
 
+@pytest.mark.slow
 def test_processes_killed_at_random_instants_lose_nothing(tmp_path, monkeypatch):
     options = shlex.split("dam_break --spacing 0.1 --until 0.4 --save-every 0.01 --checkpoint-every 0.01")
     monkeypatch.setattr(kills, "STEPPING", 0.2)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hasty import quick
+from hasty import by_diagonal, quick
 from jax import random
 from scipy.stats import kstest
 
@@ -208,7 +208,7 @@ def test_energy_budget_closes():
 
 def test_derivative_by_alpha_passes_through_the_noise():
     case = small_wave()
-    scheme = dataclasses.replace(mps.schemes.mps(tolerance=1e-13), noise=StochasticVelocity(0.04))
+    scheme = by_diagonal(dataclasses.replace(mps.schemes.mps(tolerance=1e-13), noise=StochasticVelocity(0.04)))
 
     # From an instant on at which the flow, which gains energy in some steps, has lost some.
     @quick
