@@ -138,9 +138,8 @@ class Log(NamedTuple):
 def empty_log(dim: int) -> Log:
     none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
     count, place = jnp.zeros((), jnp.int32), jnp.zeros((len(BITS), dim))
-    far = jnp.full(
-        (), jnp.inf, zero.dtype
-    )  # a bare infinity has a weak type: the program of all later steps another one
+    # Of strong type: the program of all later steps would be another one than that of the first.
+    far = jnp.full((), jnp.inf, zero.dtype)
     sums = (jnp.zeros(()), jnp.zeros(()), far, jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
     return Log(count, *sums, none, none, zero, none, place, zero)
 
