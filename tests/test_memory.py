@@ -41,12 +41,12 @@ def test_memory_grows_with_slots_and_with_frames_and_compiling_is_told_apart():
 
     brief, large = (of(spacing, until=0.1, save_every=0.1) for spacing in (0.1, 0.02))
     n, more = len(brief.case.particles.kind), len(large.case.particles.kind)
-    # 30 numbers and 8 indices in each of 20 slots.
-    assert memory(large).later - memory(brief).later == pytest.approx((more - n) * 20 * (30 * 8 + 8 * 4) / 1e6)
+    # 27 numbers and 10 indices in each of 20 slots.
+    assert memory(large).later - memory(brief).later == pytest.approx((more - n) * 20 * (27 * 8 + 10 * 4) / 1e6)
     many = of(0.02, until=10.0, save_every=0.001)
     assert memory(many).later > 10_000 * more * 66 / 1e6 > memory(large).later
     found = casefile.check(large).expected
-    assert found["memory"] == "1022 MB in the first run, 652 MB in later ones, which need not compile"
+    assert found["memory"] == "941 MB in the first run, 581 MB in later ones, which need not compile"
     assert "without compiling" in found["wall time"] and found["compiling"].startswith(
-        "about 15 s before the first step"
+        "about 10 s before the first step"
     )

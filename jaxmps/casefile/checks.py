@@ -15,7 +15,7 @@ from jaxmps.stepping import largest_step
 # README, "Speed": µs per particle and step on two cores of a server.
 _MICROSECONDS = {(2, "single"): 1.2, (2, "double"): 1.8, (3, "single"): 2.6, (3, "double"): 4.5}
 _STARTING = 6.0  # s of wall time in which Python and JAX start and pictures are drawn
-_COMPILING = {2: 15.0, 3: 30.0}  # s on such cores, however many particles there are
+_COMPILING = {2: 10.0, 3: 20.0}  # s on such cores, however many particles there are
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,19 +2,19 @@
 
 Measured as the peak of the resident memory of `jaxmps run` on two cores, about 20 steps of the dam breaks in two and
 three dimensions with `mps_hs_gc_ds`, in an empty cache of compiled programs and then in the filled one (Linux, jax
-0.10.1, November 2026). The numbers below fit these runs, but for the last two rows; `mps` takes up to a tenth less. MB:
+0.10.1, November 2026). The numbers below are fitted to these runs; `mps` takes up to a tenth less. MB:
 
 | particles | frames | precision | first run: said | taken | later: said | taken |
 |---|---|---|---|---|---|---|
-| 2171, 2-D | 3 | double | 1022 | 983 | 652 | 647 |
-| 23 621, 2-D | 3 | double | 1138 | 1154 | 768 | 728 |
-| 80 862, 2-D | 3 | double | 1450 | 1482 | 1080 | 971 |
-| 80 862, 2-D | 3 | single | 1256 | 1293 | 886 | 836 |
-| 2669, 3-D | 3 | double | 1261 | 1264 | 831 | 817 |
-| 76 694, 3-D | 3 | double | 2388 | 2354 | 1958 | 1771 |
-| 76 694, 3-D | 3 | single | 1873 | 1930 | 1443 | 1416 |
-| 121 548, 3-D | 3 | double | 3071 | 2828 | 2641 | 2314 |
-| 80 862, 2-D, 361 steps | 101 | double | 1765 | 1864 | 1395 | 1366 |
+| 2171, 2-D | 3 | double | 941 | 927 | 581 | 578 |
+| 23 621, 2-D | 3 | double | 1051 | 1071 | 691 | 653 |
+| 80 862, 2-D | 3 | double | 1344 | 1363 | 984 | 910 |
+| 80 862, 2-D | 3 | single | 1169 | 1208 | 809 | 770 |
+| 2669, 3-D | 3 | double | 1208 | 1211 | 708 | 710 |
+| 76 694, 3-D | 3 | double | 2269 | 2177 | 1769 | 1622 |
+| 76 694, 3-D | 3 | single | 1806 | 1800 | 1306 | 1281 |
+| 121 548, 3-D | 3 | double | 2913 | 2665 | 2413 | 2150 |
+| 80 862, 2-D, 361 steps | 101 | double | 1685 | 1815 | 1325 | 1286 |
 
 A table that flow has filled is made half as large again, which is not foreseen here.
 """
@@ -26,9 +26,9 @@ from jaxmps.casefile.setup import Setup
 from jaxmps.neighbors import SKIN, usual_capacity
 
 _PACKAGES = 310.0  # MB of Python with JAX, jax-md, h5py and matplotlib
-_PROGRAMS = {2: 330.0, 3: 480.0}  # MB of the step, the search for neighbors, energies, and what they are loaded with
-_COMPILER = {2: 370.0, 3: 430.0}  # MB that compiling them takes, which the process keeps
-_NUMBERS, _INDICES = 30, 8  # for each slot of the neighbor table in a step: pairs, matrices, and copies of them
+_PROGRAMS = {2: 260.0, 3: 360.0}  # MB of the step, the search for neighbors, energies, and what runs them
+_COMPILER = {2: 360.0, 3: 500.0}  # MB that compiling them takes, which the process keeps
+_NUMBERS, _INDICES = 27, 10  # for each slot of the neighbor table in a step: pairs, matrices, and copies of them
 _READ = 1.4  # all frames, and those of one field once more while it is read
 
 
