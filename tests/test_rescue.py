@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -97,6 +98,13 @@ class Scripted(Loop):
     @property
     def outcome(self) -> Outcome:
         return self.outcome_
+
+    @property
+    def snapshot(self) -> Any:
+        return self.outcome_
+
+    def put_back(self, snapshot: Any) -> None:
+        self.outcome_ = snapshot
 
     def reach(self, target: float, bar: object, look: object) -> None:
         failed = self.halvings < sum(self.failures[: int(target) + 1])
