@@ -213,6 +213,8 @@ def test_half_the_time_step_completes_that_run_with_a_warning_for_each_halving(c
 
 def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
     save, saved = Recorder.save, []
+    # Shells start what runs in the background with the signal ignored.
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def save_and_interrupt(recorder, state):
         save(recorder, state)
@@ -221,7 +223,10 @@ def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(Recorder, "save", save_and_interrupt)
-    result = call(*TINY, "--until", 1000, "--save-every", 0.05, "--out", "stopped")
+    try:
+        result = call(*TINY, "--until", 1000, "--save-every", 0.05, "--out", "stopped")
+    finally:
+        signal.signal(signal.SIGINT, usual)
     assert result.code == 130
     assert result.err.startswith("error: interrupted before its end, at t = ")
     assert result.err.count("\n") == 1
