@@ -218,7 +218,11 @@ def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(Recorder, "save", save_and_interrupt)
-    result = call(*TINY, "--until", 1000, "--save-every", 0.05, "--out", "stopped")
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it may be ignored
+    try:
+        result = call(*TINY, "--until", 1000, "--save-every", 0.05, "--out", "stopped")
+    finally:
+        signal.signal(signal.SIGINT, usual)
     assert result.code == 130
     assert result.err.startswith("error: interrupted before its end, at t = ")
     assert result.err.count("\n") == 1

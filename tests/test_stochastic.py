@@ -172,6 +172,7 @@ def small_wave(**arguments):
     return mps.cases.standing_wave(spacing=0.05, **arguments)
 
 
+@pytest.mark.slow
 def test_one_key_is_one_run_and_another_key_another():
     case, scheme = small_wave(), mps.schemes.stochastic(by_diagonal(mps.schemes.mps()), alpha=0.04)
     first, again, other = (
