@@ -35,10 +35,17 @@ if "JAXMPS_TESTS_FLAGS" not in os.environ:
 
 import jax
 import jaxtyping
+import psutil
 import pytest
 
 jaxtyping.install_import_hook("jaxmps", "beartype.beartype")
 gc.set_threshold(20_000, 10, 10)  # tracing makes millions of small objects, few of them in cycles
+
+
+def pytest_collection_finish() -> None:
+    """What has been imported stays: it need not be searched for cycles again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -88,8 +95,10 @@ def unchecked_file() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="module")
 def compiled_programs_are_dropped() -> Iterator[None]:
-    """Those of a file of tests, at its end, if they are many: each maps memory, in pieces of which there are 65 530."""
+    """At the end of a file, if they take much memory or many of the 65 530 pieces of it that a process may map."""
     yield
     pieces = Path("/proc/self/maps")
-    if not pieces.exists() or pieces.read_bytes().count(b"\n") > 15_000:
+    many = not pieces.exists() or pieces.read_bytes().count(b"\n") > 15_000
+    if many or psutil.Process().memory_info().rss > 1.5e9:
         jax.clear_caches()
+        gc.collect()

@@ -20,6 +20,7 @@ def load(name: str) -> Any:
     return module
 
 
+@pytest.mark.slow
 def test_the_dam_break_example_draws_fronts_and_energy_and_its_fronts_converge(tmp_path):
     example = load("dam_break")
     fronts, long = example.main((0.1, 0.05, 0.025), 0.52, 0.1, 0.3, str(tmp_path))

@@ -144,7 +144,7 @@ def test_a_particle_that_comes_through_is_reflected():
 
 def test_water_at_rest_on_a_mirror_has_hydrostatic_pressure():
     case = mps.cases.standing_wave(spacing=0.025, depth=0.3, amplitude=0.0, floor="mirror")
-    run = mps.simulate(case, mps.schemes.mps(), until=0.5, save_every=0.1, progress=False)
+    run = mps.simulate(case, by_diagonal(mps.schemes.mps()), until=0.5, save_every=0.1, progress=False)
     assert run.status.completed
     y, p = run.position[-1, :, 1], run.pressure[-1]
     weight = 1000.0 * G * (y.max() - y)
@@ -159,7 +159,7 @@ def test_antisymmetric_forces_keep_the_momentum_along_a_smooth_floor_to_round_of
     # Disordered: a symmetric wave would keep its momentum with any scheme, and on any floor.
     drift = {}
     case = mps.cases.jitter(wave(), 0.05, jax.random.key(0))
-    for scheme in (mps.schemes.cmps_hs(), mps.schemes.mps(tolerance=1e-10)):
+    for scheme in (by_diagonal(mps.schemes.cmps_hs()), mps.schemes.mps(tolerance=1e-10)):
         end, _, _, status = rolled(case, scheme, times=3)
         assert not np.any(status)
         drift[scheme.name] = abs(float(jnp.mean(end.velocity[:, 0])))

@@ -38,7 +38,7 @@ def rolled(points: np.ndarray, center: np.ndarray, angle: float) -> np.ndarray:
 
 
 def test_the_walls_of_a_rolling_tank_are_where_the_angle_says_with_its_velocity_also_when_a_state_goes_on():
-    tank, scheme = rolling(), mps.schemes.mps_cd_gc_ds()
+    tank, scheme = rolling(), by_diagonal(mps.schemes.mps_cd_gc_ds())
     start = mps.start(tank, scheme)
     half, info = mps.rollout(tank, scheme, start, steps=8, dt=2e-3)
     whole, _ = mps.rollout(tank, scheme, half, steps=8, dt=2e-3)
@@ -111,7 +111,7 @@ def test_a_lift_that_speeds_up_has_the_hydrostatic_pressure_of_a_larger_gravity(
     extra = 5.0
     case = carried(acceleration=extra)
     # A fixed step: where the step changes, the source that restores the density, which goes as 1 / dt², jumps.
-    run = mps.simulate(case, mps.schemes.mps_cd_gc_ds(), until=0.5, save_every=0.05, dt=2e-3)
+    run = mps.simulate(case, by_diagonal(mps.schemes.mps_cd_gc_ds()), until=0.5, save_every=0.05, dt=2e-3)
     run.status.check()
     seen = mps.diagnostics.relative(run, case.motion)
     lift, wall = 0.5 * extra * run.time**2, walls(case.particles)
@@ -127,7 +127,7 @@ def test_a_lift_that_speeds_up_has_the_hydrostatic_pressure_of_a_larger_gravity(
 
 def test_water_that_cannot_slosh_has_the_momentum_of_its_tank():
     case = carried(sway=0.1)
-    run = mps.simulate(case, mps.schemes.mps_cd_gc_ds(), until=0.5, save_every=0.05, dt=2e-3)
+    run = mps.simulate(case, by_diagonal(mps.schemes.mps_cd_gc_ds()), until=0.5, save_every=0.05, dt=2e-3)
     run.status.check()
     mean = np.array([run.velocity[k][run.fluid[k], 0].mean() for k in range(len(run))])
     np.testing.assert_allclose(mean[1:], 0.4 * np.sin(4.0 * run.time[1:]), atol=0.04)
@@ -136,7 +136,7 @@ def test_water_that_cannot_slosh_has_the_momentum_of_its_tank():
 def test_a_wall_that_leaves_the_domain_ends_the_run_and_says_so():
     case = carried(sway=5.0)
     with pytest.warns(mps.SimulationWarning, match="a moving wall has left the domain.*larger box"):
-        run = mps.simulate(case, mps.schemes.mps_cd_gc_ds(), until=0.5, save_every=0.05, dt=2e-3)
+        run = mps.simulate(case, by_diagonal(mps.schemes.mps_cd_gc_ds()), until=0.5, save_every=0.05, dt=2e-3)
     assert mps.Status.WALL_OUTSIDE in run.status.flags and not run.status.completed
     assert run.status.fatal is not None and run.status.fatal.particle is not None
     assert walls(case.particles)[run.status.fatal.particle]

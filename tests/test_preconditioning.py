@@ -52,7 +52,9 @@ def matrix(equation: PressureEquation) -> tuple[np.ndarray, int]:
     return m[chosen], int(unknown.sum())
 
 
-@pytest.mark.parametrize("name", ["droplets", "closed", "nothing", "standing_wave", "dam_break_3d"])
+@pytest.mark.parametrize(
+    "name", ["droplets", "closed", "nothing", "standing_wave", pytest.param("dam_break_3d", marks=pytest.mark.slow)]
+)
 def test_multigrid_is_symmetric_and_positive_definite(name):
     equation = sample(name).equation
     assert bool(jnp.any(equation.operator.sink > 0)) == (name not in ("closed", "nothing"))

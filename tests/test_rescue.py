@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hasty import by_diagonal
 
 import jaxmps as mps
 from jaxmps.flow import FATAL, MESSAGES, Event, Outcome, Status, at_rest
@@ -33,7 +34,7 @@ def falling() -> Iterator[tuple[mps.Case, mps.Scheme]]:
             spacing=SPACING,
             box=mps.Box((0.0, 0.0), (3.0, 5.0)),
         )
-        yield case, mps.schemes.mps()
+        yield case, by_diagonal(mps.schemes.mps())
 
 
 @pytest.fixture(scope="module")

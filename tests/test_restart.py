@@ -12,6 +12,7 @@ import h5py
 import jax
 import numpy as np
 import pytest
+from hasty import by_diagonal
 
 import jaxmps as mps
 from benchmarks import kills
@@ -87,7 +88,7 @@ def assert_same(ours: Path, theirs: Path, run: mps.Run, alone: mps.Run) -> None:
     indirect=["precision"],
 )
 def test_a_run_that_was_killed_becomes_the_one_that_was_not(precision, name, killed, tmp_path):
-    case, scheme, key = dam(), SCHEMES[name](), jax.random.key(3)
+    case, scheme, key = dam(), by_diagonal(SCHEMES[name]()), jax.random.key(3)
     alone = mps.simulate(case, scheme, **TIMES, key=key, out=tmp_path / "alone.vtkhdf")
     out, under_way = tmp_path / "run.vtkhdf", []
     for at in (1, 3, 6):
@@ -103,7 +104,7 @@ def test_a_run_that_was_killed_becomes_the_one_that_was_not(precision, name, kil
 
 
 def test_ctrl_c_list_and_fixed_time_step_survive(killed, tmp_path):
-    case, scheme = dam(), SCHEMES["stochastic"]()
+    case, scheme = dam(), by_diagonal(SCHEMES["stochastic"]())
     state = mps.start(case, scheme, skin=0.2, capacity=26)
     common = {**TIMES, "dt": 0.004, "key": jax.random.key(4), "start": state}
     alone = mps.simulate(case, scheme, **common, out=tmp_path / "alone.vtkhdf")

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from arrangements import CLOUD, DIMENSIONS, SPACING, cloud, couple
+from hasty import by_diagonal
 
 import jaxmps
 from jaxmps import cases, schemes
@@ -257,7 +258,7 @@ def end_of_a_tank(scheme: jaxmps.Scheme) -> np.ndarray:
     swirl = 0.2 * np.stack([np.sin(np.pi * x / 0.8), np.cos(np.pi * x / 0.8) * y], axis=1)
     velocity = jnp.array(np.where(np.asarray(case.particles.fluid)[:, None], swirl, 0.0))
     case = eqx.tree_at(lambda c: c.particles.velocity, case, velocity)
-    end = jaxmps.rollout(case, scheme, jaxmps.start(case, scheme), steps=10, dt=2e-3)[0].particles
+    end = jaxmps.rollout(case, by_diagonal(scheme), jaxmps.start(case, scheme), steps=10, dt=2e-3)[0].particles
     return np.concatenate([end.position, end.velocity, end.pressure[:, None]], axis=1)
 
 

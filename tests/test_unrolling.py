@@ -143,6 +143,7 @@ def test_memory_grows_with_the_root_of_the_steps(flow):
     assert many < 4.0 * few + 8.5 * 1024  # the solutions of all steps, a number each
 
 
+@pytest.mark.slow
 def test_derivatives_of_members_are_those_of_single_runs(flow, by_alpha, one_window):
     start = flow[2]
     keys, alpha = jax.random.split(jax.random.key(4), 2), jnp.asarray(0.03)
