@@ -182,7 +182,7 @@ def test_derivatives_of_a_run_from_rest_on_a_lattice_are_finite(name, steps):
 
 
 @pytest.mark.parametrize("precision", ["single"], indirect=True)
-@pytest.mark.parametrize(("name", "steps"), [run("mps_cd_gc_ds"), *(run(name, short=False) for name in SCHEMES)])
+@pytest.mark.parametrize(("name", "steps"), [run(name, short=False) for name in SCHEMES])
 def test_single_precision_gives_the_derivatives_of_double(name, steps, precision):
     # Without noise, whose draws differ between the precisions.
     with jax.enable_x64(True):

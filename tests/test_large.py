@@ -116,7 +116,8 @@ def one_step(case: jaxmps.Case, dt: float, relaxation: float, beta: float) -> Si
     return SimpleNamespace(n=n, surface=surface, p=p, velocity=u + du, position=r + dt * du)
 
 
-@pytest.mark.parametrize("large", [2, pytest.param(3, marks=pytest.mark.slow)], indirect=True)
+@pytest.mark.slow
+@pytest.mark.parametrize("large", [2, 3], indirect=True)
 def test_compiled_step_agrees_with_matrices_at_40_000_particles(large):
     case = large.case
     dt = 1e-3 * (case.spacing / 0.01) ** 0.5

@@ -23,6 +23,7 @@ sys.exit(code)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of the memory is read from /proc")
+@pytest.mark.slow
 def test_a_run_takes_the_memory_that_check_expects_to_a_factor_of_one_and_a_half(tmp_path):
     options = ["run", "dam_break", "--spacing", "0.04", "--until", "0.01", "--out", str(tmp_path), "--force"]
     expected = memory(Setup(*build("dam_break", "mps", 0.04, []), (), RunTable(until=0.01)))

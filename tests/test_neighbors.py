@@ -113,7 +113,7 @@ def assert_complete(box: Box, position, near: Pairs) -> None:
         ("double", PERIODIC),
         ("single", CHANNEL),
         ("double", CHANNEL_3D),
-        ("single", PERIODIC_3D),
+        pytest.param("single", PERIODIC_3D, marks=pytest.mark.slow),
     ],
     indirect=["precision"],
 )

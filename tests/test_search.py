@@ -100,7 +100,9 @@ def test_list_is_that_of_jax_md(lengths, periodic):
     assert jax.tree.structure(theirs).num_leaves == jax.tree.structure(ours.table).num_leaves
 
 
-@pytest.mark.parametrize(("precision", "dim"), [("single", 2), ("double", 3)], indirect=["precision"])
+@pytest.mark.parametrize(
+    ("precision", "dim"), [("single", 2), pytest.param("double", 3, marks=pytest.mark.slow)], indirect=["precision"]
+)
 def test_forty_thousand_particles_have_the_neighbors_of_a_k_d_tree(precision, dim):
     # Compiled wrongly by some releases of XLA above 16 384 and 32 768 particles.
     size = round(40_000 ** (1 / dim)) + 1

@@ -93,6 +93,7 @@ def one_window(by_alpha):
     return quick(by_alpha)
 
 
+@pytest.mark.slow
 def test_the_derivative_in_windows_is_that_of_each_window_by_itself(flow, one_window):
     case, scheme, start = flow
     alpha, key = jnp.asarray(0.03), jax.random.key(0)
