@@ -1,4 +1,4 @@
-"""What a step tells of itself, and the log that a run keeps of it."""
+"""What a step tells of itself."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar
-from jaxmps.flow import Case, Energy, Event, Kind, Particles, Status, mechanical_energy
+from jaxmps.flow import Case, Energy, Kind, Particles, Status, mechanical_energy
 from jaxmps.models import Push
 from jaxmps.neighbors import Pairs
 from jaxmps.pressure import Convergence
@@ -20,8 +20,24 @@ BITS = (
     Status.NOT_CONVERGED,
     Status.ESCAPED,
     Status.WALL_OUTSIDE,
+    Status.SOLVE_FAILED,
+    Status.RUNAWAY,
 )
 """The status bits that a step can raise, in the order of `StepInfo.culprit`."""
+
+
+_FAILED = 0.1  # of its right-hand side that a solve leaves over: what it gives is no pressure
+_RUNAWAY_SPEED = (
+    10.0  # times the speed that all its energy would give to a particle: impacts throw water up, not so fast
+)
+
+
+class Work(NamedTuple):
+    """Energies [J/kg] of a step: what noise and moving walls gave, and what was lost of these and of before."""
+
+    noise: Scalar
+    walls: Scalar
+    loss: Scalar
 
 
 class StepInfo(NamedTuple):
@@ -30,8 +46,9 @@ class StepInfo(NamedTuple):
     `status`: bits of `Status`; `culprit`: for each of `BITS` the particle it is about; `residual`: true relative
     residual of the pressure solve; `travel`: largest displacement in spacings; `max_speed` [m/s]; `surface_count`,
     `escaped`: numbers of particles; `closest`: distance of the closest pair in spacings, before the correction;
-    `stabilized`: pairs that the stabilizer kept apart; `work`: energy [J/kg] that it gave; `given`: energy [J/kg] that
-    the noise gave; `energy` [J/kg]; `dt` [s].
+    `stabilized`: pairs that the stabilizer kept apart; `work`: energy [J/kg] that it gave; `given`, `wall_work`: that
+    noise and moving walls gave; `loss`: that is missing after the step, of these two and of what was there before;
+    `energy` [J/kg]; `dt` [s].
     """
 
     status: Int[Array, "*steps"]
@@ -45,6 +62,8 @@ class StepInfo(NamedTuple):
     stabilized: Int[Array, "*steps"]
     work: Float[Array, "*steps"]
     given: Float[Array, "*steps"]
+    wall_work: Float[Array, "*steps"]
+    loss: Float[Array, "*steps"]
     energy: Energy
     dt: Float[Array, "*steps"]
 
@@ -56,7 +75,7 @@ def inspect(
     near: Pairs,
     surface: Bool[Array, " n"],
     push: Push,
-    given: Scalar,
+    work: Work,
     dt: Scalar,
     convergence: Convergence,
     overflow: Bool[Array, ""],
@@ -83,15 +102,18 @@ def inspect(
             ~convergence.converged,
             jnp.any(gone),
             jnp.any(astray),
+            convergence.residual > _FAILED,
+            jnp.array(False),  # for the log to say, which knows what was there at the start
         ]
     )
     # With pairs missing, nothing else that the step shows means anything: it has to be repeated.
     raised = jnp.where(overflow, jnp.array([bit == Status.TABLE_FULL for bit in BITS]), raised)
     nobody = jnp.array(-1)
-    culprit = jnp.stack([jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone), jnp.argmax(astray)])
+    speed = jnp.argmax(jnp.where(kept.fluid, squared_speed, 0.0))
+    culprit = [jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone), jnp.argmax(astray), nobody, speed]
     info = StepInfo(
         status=jnp.sum(jnp.where(raised, jnp.array([int(bit) for bit in BITS]), 0)),
-        culprit=culprit,
+        culprit=jnp.stack(culprit),
         residual=convergence.residual,
         # Roots have no derivative at rest, and these are there to be looked at.
         travel=jnp.sqrt(lax.stop_gradient(squared_travel[fastest])),
@@ -101,7 +123,9 @@ def inspect(
         closest=jnp.min(jnp.where(near.present & old.fluid[:, None], near.distance, jnp.inf)) / case.spacing,
         stabilized=push.pairs,
         work=_work(case, new, push),
-        given=given,
+        given=work.noise,
+        wall_work=work.walls,
+        loss=work.loss,
         energy=mechanical_energy(kept, case.density, case.gravity),
         dt=dt,
     )
@@ -115,77 +139,3 @@ def _work(case: Case, new: Particles, push: Push) -> Scalar:
     )
     energies = (mechanical_energy(p, case.density, case.gravity).total for p in (new, before))
     return jnp.subtract(*energies)
-
-
-class Log(NamedTuple):
-    """Sums over the steps of a run; of each of `BITS` its number and, of the first, step, time, particle, value."""
-
-    steps: Int[Array, ""]
-    residual: Scalar
-    max_speed: Scalar
-    closest: Scalar
-    stabilized: Scalar
-    work: Scalar
-    given: Scalar
-    count: Int[Array, " bits"]
-    step: Int[Array, " bits"]
-    time: Float[Array, " bits"]
-    particle: Int[Array, " bits"]
-    position: Float[Array, "bits d"]
-    value: Float[Array, " bits"]
-
-
-def empty_log(dim: int) -> Log:
-    none, zero = jnp.zeros(len(BITS), jnp.int32), jnp.zeros(len(BITS))
-    count, place = jnp.zeros((), jnp.int32), jnp.zeros((len(BITS), dim))
-    # Of strong type: the program of all later steps would be another one than that of the first.
-    far = jnp.full((), jnp.inf, zero.dtype)
-    sums = (jnp.zeros(()), jnp.zeros(()), far, jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
-    return Log(count, *sums, none, none, zero, none, place, zero)
-
-
-def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Particles, time: Scalar, step: Array) -> Log:
-    """The log with one more step; `particles` and `time` [s] are those at the step's start."""
-    status, none = info.status, jnp.zeros_like(info.residual)
-    # From a step that is not taken nobody escapes.
-    raised = jnp.stack([((status & int(bit)) != 0) & (accepted | (bit != Status.ESCAPED)) for bit in BITS])
-    first = raised & (log.count == 0)
-    amount = jnp.where(jnp.array([bit == Status.ESCAPED for bit in BITS]), info.escaped, 1)
-    value = jnp.stack([none, info.travel, none, info.residual, none, none])
-    return Log(
-        steps=log.steps + accepted,
-        residual=log.residual + jnp.where(accepted, info.residual, 0.0),
-        max_speed=jnp.where(accepted, jnp.maximum(log.max_speed, info.max_speed), log.max_speed),
-        closest=jnp.where(accepted, jnp.minimum(log.closest, info.closest), log.closest),
-        stabilized=log.stabilized + jnp.where(accepted, info.stabilized, 0),
-        work=log.work + jnp.where(accepted, info.work, 0.0),
-        given=log.given + jnp.where(accepted, info.given, 0.0),
-        count=log.count + jnp.where(raised, amount, 0).astype(log.count.dtype),
-        step=jnp.where(first, step, log.step).astype(log.step.dtype),
-        time=jnp.where(first, time, log.time),
-        particle=jnp.where(first, info.culprit, log.particle).astype(log.particle.dtype),
-        position=jnp.where(first[:, None], particles.position[info.culprit], log.position),
-        value=jnp.where(first, value, log.value),
-    )
-
-
-def events(log: Log) -> tuple[Event, ...]:
-    """What a log tells to a person; a full table is repaired and not worth telling."""
-    told = []
-    for i, bit in enumerate(BITS):
-        if not int(log.count[i]) or bit == Status.TABLE_FULL:
-            continue
-        has_place = int(log.particle[i]) >= 0
-        has_value = bit in (Status.TIME_STEP_TOO_LARGE, Status.NOT_CONVERGED)
-        told.append(
-            Event(
-                status=int(bit),
-                time=float(log.time[i]),
-                step=int(log.step[i]),
-                particle=int(log.particle[i]) if has_place else None,
-                position=tuple(float(x) for x in log.position[i]) if has_place else None,
-                value=float(log.value[i]) if has_value else None,
-                count=int(log.count[i]),
-            )
-        )
-    return tuple(told)

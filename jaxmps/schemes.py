@@ -36,7 +36,7 @@ def mps(
     collision_distance: ArrayLike = 0.9,
     restitution: ArrayLike = 0.2,
     courant: ArrayLike = 0.2,
-    viscous: bool = False,
+    viscous: bool = True,
     clip_pressure: bool = True,
     ratio: float = 2.1,
     tolerance: float = 1e-4,
@@ -81,7 +81,7 @@ def cmps_hs(
     restitution: ArrayLike = 0.2,
     courant: ArrayLike = 0.1,
     own_density: bool = False,
-    viscous: bool = False,
+    viscous: bool = True,
     ratio: float = 2.1,
     tolerance: float = 1e-4,
 ) -> Scheme:
@@ -109,7 +109,7 @@ def mps_hs_gc(
     beta: ArrayLike = 0.97,
     courant: ArrayLike = 0.1,
     own_density: bool = False,
-    viscous: bool = False,
+    viscous: bool = True,
     ratio: float = 2.1,
     tolerance: float = 1e-4,
 ) -> Scheme:
@@ -146,7 +146,7 @@ def mps_hs_gc_ds(
     beta: ArrayLike = 0.97,
     courant: ArrayLike = 0.1,
     own_density: bool = False,
-    viscous: bool = False,
+    viscous: bool = True,
     ratio: float = 2.1,
     tolerance: float = 1e-4,
 ) -> Scheme:
@@ -170,7 +170,7 @@ def mps_cd_gc_ds(
     restoring: ArrayLike = 0.03,
     courant: ArrayLike = 0.1,
     own_density: bool = False,
-    viscous: bool = False,
+    viscous: bool = True,
     ratio: float = 2.1,
     tolerance: float = 1e-4,
 ) -> Scheme:

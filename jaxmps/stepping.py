@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxmps._types import Scalar, positive_or_one
 from jaxmps.flow import Case, Kind, Particles, energy_loss, kinetic_energy
 from jaxmps.kernels import lattice
-from jaxmps.models import Compression
-from jaxmps.monitor import StepInfo, inspect
+from jaxmps.models import Compression, beside_walls, wall_work
+from jaxmps.monitor import StepInfo, Work, inspect
 from jaxmps.neighbors import Neighbors, Pairs, pairs, update
 from jaxmps.operators import density_rate, divergence, number_density, pair_weight
 from jaxmps.pressure import Convergence, PressureEquation, poisson_operator, solve_pressure
@@ -19,7 +19,7 @@ from jaxmps.scheme import Scheme
 
 class State(eqx.Module):
     """A flow at an instant: particles, their list, the number density and surface of the last prediction, time [s], and
-    the `loss` of energy [J/kg] in the last step, which noise gives back.
+    the `loss` of energy [J/kg] in the last step, not counting what walls did to it, which noise gives back.
     """
 
     particles: Particles
@@ -34,7 +34,8 @@ class State(eqx.Module):
 class Prediction(NamedTuple):
     """The flow after the explicit part of a step, without the pressure: u*, r*, and what belongs to them.
 
-    `given`: energy [J/kg] of the noise.
+    `density` [kg/m³] is that by which pressures act, of one entry where there is one fluid; `given`: energy [J/kg] of
+    the `noise` [m/s].
     """
 
     particles: Particles
@@ -44,6 +45,8 @@ class Prediction(NamedTuple):
     number_density: Float[Array, " n"]
     surface: Bool[Array, " n"]
     source: Float[Array, " n"]
+    density: Float[Array, " #n"]
+    noise: Float[Array, "n d"]
     given: Scalar
 
 
@@ -61,12 +64,12 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     radius = scheme.ratio * spacing
     n0, lam = lattice(scheme.ratio, case.dim)[:2]
     moving = old.fluid[:, None]
-    neighbors = update(state.neighbors, old.position)
+    neighbors = update(state.neighbors, old.listed_position)
     near = pairs(neighbors, old, spacing)
     w = pair_weight(near, radius)
     current = compression(old.velocity, near, w, radius, n0)
     viscosity = case.fluids.viscosity[old.phase]
-    viscous = scheme.viscosity(old.velocity, viscosity, near, w, n0, lam * spacing**2)
+    viscous = scheme.viscosity(old.velocity, viscosity, case.density, old.fluid, near, w, n0, lam * spacing**2)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
     mass = jnp.where(old.fluid, case.density, 0.0)
     noise = scheme.noise(u, state.loss, mass, case.box.periodic, key)
@@ -77,12 +80,14 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     predicted = eqx.tree_at(lambda p: (p.position, p.velocity), old, (position, u))
     predicted = case.motion.drive(predicted, case.particles.position, state.time + dt)
 
-    neighbors = update(neighbors, predicted.position)
+    neighbors = update(neighbors, predicted.listed_position)
     near = pairs(neighbors, predicted, spacing)
     w = pair_weight(near, radius)
     n, surface = density_and_surface(case, scheme, old, near, w)
     source = scheme.source(compression(predicted.velocity, near, w, radius, n0), current, n0, dt)
-    return Prediction(predicted, neighbors, near, w, n, surface, source, given)
+    density = case.distinct_density
+    density = density if len(density) == 1 else beside_walls(density, old.fluid, near, w)
+    return Prediction(predicted, neighbors, near, w, n, surface, source, density, noise, given)
 
 
 def pressure_equation(case: Case, scheme: Scheme, prediction: Prediction) -> PressureEquation:
@@ -91,7 +96,7 @@ def pressure_equation(case: Case, scheme: Scheme, prediction: Prediction) -> Pre
     unknown = particles.has_pressure & ~surface
     coefficient = scheme.laplacian(near, _between_pressures(prediction), scheme.ratio, case.spacing)
     coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
-    operator = poisson_operator(near, coefficient, case.distinct_density, unknown)
+    operator = poisson_operator(near, coefficient, prediction.density, unknown, case.box.open_axis)
     preconditioner = scheme.preconditioning(operator, unknown, near, particles.position, case.box, case.spacing)
     return PressureEquation(operator, prediction.source, unknown, particles.pressure, preconditioner)
 
@@ -108,7 +113,7 @@ def correct(
 ) -> tuple[State, StepInfo]:
     """The solved pressure and the stabilizer change u* and r*."""
     predicted, near, surface, moves = prediction.particles, prediction.near, prediction.surface, state.particles.fluid
-    n0, density, spacing = lattice(scheme.ratio, case.dim).n0, case.distinct_density, case.spacing
+    n0, density, spacing = lattice(scheme.ratio, case.dim).n0, prediction.density, case.spacing
     p = jnp.maximum(p, 0.0) if scheme.clip_pressure else p
     p = scheme.surface_condition.pressure(p, surface, unknown, near, prediction.w, spacing)
     a = -scheme.gradient(p, scheme.interface(density, near), near, _between_pressures(prediction), n0)
@@ -118,11 +123,28 @@ def correct(
     velocity = predicted.velocity + dt * a + push.velocity
     position, velocity = case.box.reflect(position, velocity)
     new = Particles(position, velocity, p, predicted.kind, predicted.phase)
-    loss = energy_loss(state.particles, new, case.density, case.gravity, dt)
-    full = prediction.neighbors.overflow
-    new, info = inspect(case, state.particles, new, near, surface, push, prediction.given, dt, convergence, full)
+    by_walls = work_of_walls(case, scheme, state.particles, prediction, new, dt)
+    loss = energy_loss(state.particles, new, case.density, case.gravity, dt) + by_walls
+    full, work = prediction.neighbors.overflow, Work(prediction.given, by_walls, loss)
+    new, info = inspect(case, state.particles, new, near, surface, push, work, dt, convergence, full)
     n = prediction.number_density
     return State(new, prediction.neighbors, n, surface, state.time + dt, state.step + 1, loss), info
+
+
+def work_of_walls(
+    case: Case, scheme: Scheme, old: Particles, prediction: Prediction, new: Particles, dt: Scalar
+) -> Scalar:
+    """Energy [J/kg] that moving walls give to the fluid in a step."""
+    if not case.walls_move:
+        return jnp.zeros_like(dt)
+    fluid, n0 = old.fluid, lattice(scheme.ratio, case.dim).n0
+    mass = jnp.where(fluid, case.density, 0.0)
+    gained = mass[:, None] * (new.velocity - old.velocity - dt * case.gravity - prediction.noise)
+    at, near, w = prediction.particles, prediction.near, prediction.w
+    walls = 0.5 * (old.velocity + at.velocity)
+    has_pressure = at.has_pressure
+    work = wall_work(gained, new.pressure, fluid, has_pressure, at.position, walls, near, w, n0, dt, case.box)
+    return work / positive_or_one(jnp.sum(mass))
 
 
 def _between_pressures(prediction: Prediction) -> Float[Array, "n k"]:
@@ -155,7 +177,8 @@ def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:
     courant = _over_root(rule.courant * spacing, fastest)
     falling = _over_root(rule.gravity_limit * spacing**0.5, jnp.sqrt(positive_or_one(jnp.sum(case.gravity**2))))
     falling = jnp.where(jnp.any(case.gravity != 0), falling, jnp.inf)
-    return jnp.minimum(courant, falling)
+    viscous = scheme.viscosity.largest_step(case.fluids.viscosity, spacing, case.dim)
+    return jnp.minimum(jnp.minimum(courant, falling), viscous)
 
 
 def _over_root(a: Scalar, squared: Scalar) -> Scalar:

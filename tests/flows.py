@@ -208,8 +208,8 @@ def look(flow: Flow) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
 def equation(flow: Flow, surface: Bool[Array, " n"], source: Float[Array, " n"]) -> PressureEquation:
     """The pressure equation, preconditioned by multigrid, with a cold start."""
     near = pairs(flow.neighbors, flow.case.particles, flow.case.spacing)
-    zero, w = jnp.zeros_like(source), pair_weight(near, RATIO)
-    predicted = Prediction(flow.case.particles, flow.neighbors, near, w, zero, surface, source, jnp.zeros(()))
+    zero, w, density = jnp.zeros_like(source), pair_weight(near, RATIO), flow.case.density
+    predicted = Prediction(flow.case.particles, flow.neighbors, near, w, zero, surface, source, density, zero, jnp.zeros(()))
     return pressure_equation(flow.case, schemes.mps(), predicted)
 
 

@@ -154,9 +154,9 @@ def constant_docstring(name: str) -> str:
 def status() -> str:
     """What each bit of a status means, and what to try."""
     from jaxmps.flow import FATAL, MESSAGES
-    from jaxmps.flow.status import ADVICE
+    from jaxmps.flow.status import advice_on
 
-    rows = [f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {ADVICE[bit]} |" for bit in MESSAGES]
+    rows = [f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {advice_on(bit)} |" for bit in MESSAGES]
     return "\n".join(["| bit | meaning | ends the run | advice |", "|---|---|---|---|", *rows])
 
 

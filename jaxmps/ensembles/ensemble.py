@@ -21,7 +21,7 @@ from jaxmps.ensembles.lanes import Look
 from jaxmps.ensembles.members import Member, members
 from jaxmps.flow import Case
 from jaxmps.io.member_files import MemberFiles
-from jaxmps.monitor import Log
+from jaxmps.running import Log
 from jaxmps.results import Ensemble
 from jaxmps.running import counter, fields, frame_times
 from jaxmps.scheme import Scheme
@@ -124,7 +124,8 @@ def _look_of(observe: Callable[[Case, State], dict[str, Array]], keep_frames: bo
     """One function for each: it is part of what is compiled."""
 
     def look(case: Case, state: State, log: Log) -> dict[str, Any]:
-        counted = {"steps": log.steps, "noise_work": log.given, "stabilizer_work": log.work}
+        work = {"noise_work": log.given, "stabilizer_work": log.work, "wall_work": log.wall_work}
+        counted = {"steps": log.steps, **work}
         return {"series": observe(case, state) | counted, "frames": fields(state) if keep_frames else {}}
 
     return look

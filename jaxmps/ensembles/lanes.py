@@ -15,8 +15,7 @@ from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.ensembles.members import Member, split
 from jaxmps.flow import FATAL, Case, Outcome
-from jaxmps.monitor import Log, empty_log, events
-from jaxmps.running import Clock, Loop, Meter, Upkeep, advance_chunk, start
+from jaxmps.running import Clock, Log, Loop, Meter, Upkeep, advance_chunk, empty_log, events, start
 from jaxmps.stepping import State
 
 T = TypeVar("T")
@@ -60,7 +59,7 @@ class Lanes:
         self._own, self._shared = split([(c, m.scheme) for c, m in zip(self._cases, filled, strict=True)])
         self._state = _stacked([start(member.case, member.scheme) for member in filled])
         self._keys = jnp.stack([member.key for member in filled])
-        self._log = _stacked([empty_log(self._cases[0].dim)] * len(filled))
+        self._log = _stacked([empty_log(c, _lane(self._state, k).particles) for k, c in enumerate(self._cases)])
         self._time, self._largest = float(self._state.time[0]), jnp.zeros_like(self._state.time)
         self._upkeep = Upkeep(self._cases[0], filled[0].scheme, len(filled))
         self._upkeep.going[self.count :] = False
@@ -71,7 +70,7 @@ class Lanes:
 
     @property
     def outcomes(self) -> list[Outcome]:
-        return [Outcome(events(_lane(self._log, k)) + self._upkeep.notes[k]) for k in range(self.count)]
+        return [self._upkeep.outcome(k, events(_lane(self._log, k))) for k in range(self.count)]
 
     def look(self) -> Any:
         seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, self._state, self._log))

@@ -49,6 +49,11 @@ class Box(eqx.Module):
         return len(self.lower)
 
     @property
+    def open_axis(self) -> int | None:
+        """The last axis that is not periodic, if there is one."""
+        return next((axis for axis in reversed(range(self.dim)) if not self.periodic[axis]), None)
+
+    @property
     def lengths(self) -> tuple[float, ...]:
         """The length [m] along each axis."""
         return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))

@@ -61,6 +61,11 @@ class Case(eqx.Module):
         return bare
 
     @property
+    def walls_move(self) -> bool:
+        """Whether the case has a motion of its walls."""
+        return not isinstance(self.motion, Still)
+
+    @property
     def dim(self) -> int:
         """Number of space dimensions."""
         return self.box.dim

@@ -45,6 +45,11 @@ class Particles(eqx.Module):
         return self.kind == Kind.FLUID
 
     @property
+    def listed_position(self):
+        """`position`, not a number where a particle was removed: the neighbor search passes over those."""
+        return jnp.where((self.kind == Kind.REMOVED)[:, None], jnp.nan, self.position)
+
+    @property
     def has_pressure(self):
         """Which particles take part in the pressure equation and the pressure gradient: fluid and wall."""
         return (self.kind == Kind.FLUID) | (self.kind == Kind.WALL)

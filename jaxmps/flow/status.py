@@ -19,10 +19,18 @@ class Status(enum.IntFlag):
     TIME_STEP_COLLAPSED = 128
     HALVED = 256
     WALL_OUTSIDE = 512
+    SOLVE_FAILED = 1024
+    RUNAWAY = 2048
 
 
 FATAL = (
-    Status.NOT_FINITE | Status.TIME_STEP_TOO_LARGE | Status.CLUSTERED | Status.TIME_STEP_COLLAPSED | Status.WALL_OUTSIDE
+    Status.NOT_FINITE
+    | Status.TIME_STEP_TOO_LARGE
+    | Status.CLUSTERED
+    | Status.TIME_STEP_COLLAPSED
+    | Status.WALL_OUTSIDE
+    | Status.SOLVE_FAILED
+    | Status.RUNAWAY
 )
 
 MESSAGES = {
@@ -36,6 +44,8 @@ MESSAGES = {
     Status.CLUSTERED: "particles have collapsed into clusters: the neighbor table would have to grow without bound",
     Status.HALVED: "the run blew up and went on from its last frame with half the time step",
     Status.WALL_OUTSIDE: "a moving wall has left the domain",
+    Status.SOLVE_FAILED: "the pressure solve failed: a tenth of its right-hand side or more is left over",
+    Status.RUNAWAY: "the flow blows up: it has more energy than it began with and was given",
 }
 
 ADVICE = {
@@ -49,14 +59,22 @@ ADVICE = {
     Status.ESCAPED: "look at where it left: a wall needs a layer of WALL and ceil(ratio) - 1 layers of DUMMY without "
     "gaps, one spacing apart; spray over the rim needs a higher box; else try a smaller time step",
     Status.INTERRUPTED: "run it again, from the start or from the last frame",
-    Status.TIME_STEP_COLLAPSED: "the flow had blown up before: try a smaller time_step.courant, or a scheme with a "
-    "stabilizer; a fixed dt lets the run go on",
-    Status.CLUSTERED: "try a scheme with a stabilizer or collisions, or a smaller time step; look for particles that "
-    "overlap at t = 0",
+    Status.TIME_STEP_COLLAPSED: "the flow had blown up before: try {scheme}a smaller time_step.courant; a fixed dt "
+    "lets the run go on",
+    Status.CLUSTERED: "try {scheme}a smaller time step; look for particles that overlap at t = 0",
     Status.HALVED: "a smaller dt or time_step.courant from the start would not lose these frames' time",
     Status.WALL_OUTSIDE: "give the case a larger box, or its walls a smaller motion",
+    Status.SOLVE_FAILED: "try a larger max_iterations{precision}",
+    Status.RUNAWAY: "try {scheme}a smaller time_step.courant or dt",
 }
-"""What to try, for each cause."""
+"""What to try, for each cause; `advice_on` fills in what depends on the scheme."""
+
+
+def advice_on(bit: Status, has: tuple[str, ...] = ()) -> str:
+    """What to try, but for what the scheme `has` already: "stabilizer", "collisions", "double" precision."""
+    lacks = [part for part in ("stabilizer", "collisions") if part not in has]
+    scheme = f"a scheme with {'a ' if lacks[0] == 'stabilizer' else ''}{' or '.join(lacks)}, or " if lacks else ""
+    return ADVICE[bit].format(scheme=scheme, precision="" if "double" in has else ", or double precision")
 
 
 class SimulationError(RuntimeError):
@@ -69,7 +87,10 @@ class SimulationWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Event:
-    """The first time [s] at which a status bit was raised: step, particle and place [m], and how often since."""
+    """The first time [s] at which a status bit was raised: step, particle and place [m], and how often since.
+
+    `has`: of `advice_on`.
+    """
 
     status: int
     time: float
@@ -78,6 +99,7 @@ class Event:
     position: tuple[float, ...] | None = None
     value: float | None = None
     count: int = 1
+    has: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         text = f"{MESSAGES[Status(self.status)]}, at t = {self.time:.6g} s (step {self.step}"
@@ -91,12 +113,14 @@ class Event:
     @property
     def advice(self) -> str:
         """What to try."""
-        return ADVICE[Status(self.status)]
+        return advice_on(Status(self.status), self.has)
 
 
 _VALUE_NAMES = {
     Status.TIME_STEP_TOO_LARGE: "displacement in spacings",
     Status.NOT_CONVERGED: "relative residual",
+    Status.SOLVE_FAILED: "relative residual",
+    Status.RUNAWAY: "energy beyond that in J/kg",
     Status.TIME_STEP_COLLAPSED: "speed in m/s",
     Status.CLUSTERED: "closest distance in spacings",
     Status.HALVED: "part of the first time step",
@@ -156,5 +180,6 @@ class Outcome:
         events = []
         for entry in data["events"]:
             place = entry["position"]
-            events.append(Event(**{**entry, "position": None if place is None else tuple(place)}))
+            values = {"position": None if place is None else tuple(place), "has": tuple(entry.get("has", ()))}
+            events.append(Event(**{**entry, **values}))
         return cls(tuple(events))

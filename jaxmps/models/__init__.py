@@ -12,6 +12,7 @@ from jaxmps.models.free_surface import OneSided as OneSided
 from jaxmps.models.interface import AbstractInterface as AbstractInterface
 from jaxmps.models.interface import OwnDensity as OwnDensity
 from jaxmps.models.interface import PairedDensity as PairedDensity
+from jaxmps.models.interface import beside_walls as beside_walls
 from jaxmps.models.interface import mean_density as mean_density
 from jaxmps.models.source import AbstractSource as AbstractSource
 from jaxmps.models.source import Compression as Compression
@@ -30,3 +31,4 @@ from jaxmps.models.stochastic import StochasticVelocity as StochasticVelocity
 from jaxmps.models.viscosity import AbstractViscosity as AbstractViscosity
 from jaxmps.models.viscosity import Inviscid as Inviscid
 from jaxmps.models.viscosity import Viscous as Viscous
+from jaxmps.models.wall_work import wall_work as wall_work

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxmps._types import positive_or_one
 from jaxmps.neighbors import Pairs
 
 
@@ -44,6 +45,19 @@ class OwnDensity(AbstractInterface):
 def mean_density(density: Float[Array, " #n"], pairs: Pairs) -> Float[Array, "#n #k"]:
     """(ρ_i + ρ_j) / 2 of each pair [kg/m³]."""
     return 0.5 * (density[:, None] + _at_j(density, pairs))
+
+
+def beside_walls(
+    density: Float[Array, " n"], moves: Bool[Array, " n"], pairs: Pairs, w: Float[Array, "n k"]
+) -> Float[Array, " n"]:
+    """The densities [kg/m³], with Σ_j ρ_j w_ij / Σ_j w_ij over the moving neighbors for what is fixed: a wall is as
+    heavy as the fluid before it. Away from all fluid it has the mean of what moves.
+    """
+    weight = jnp.where(pairs.at_j(moves), w, 0.0)
+    sum_of_weights = jnp.sum(weight, axis=-1)
+    near = jnp.sum(weight * pairs.at_j(density), axis=-1) / positive_or_one(sum_of_weights)
+    far = jnp.sum(jnp.where(moves, density, 0.0)) / positive_or_one(jnp.sum(moves).astype(density.dtype))
+    return jnp.where(moves, density, jnp.where(sum_of_weights > 0, near, jnp.where(far > 0, far, density)))
 
 
 def share_of_displacement(density: Float[Array, " #n"], moves: Bool[Array, " n"], pairs: Pairs) -> Float[Array, "n k"]:

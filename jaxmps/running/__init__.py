@@ -1,5 +1,8 @@
 """Running a case: the host's loop with its recorder, rescue and checkpoints, and the pure `rollout`."""
 
+from jaxmps.running.log import Log as Log
+from jaxmps.running.log import empty_log as empty_log
+from jaxmps.running.log import events as events
 from jaxmps.running.loop import Clock as Clock
 from jaxmps.running.loop import Loop as Loop
 from jaxmps.running.loop import advance_chunk as advance_chunk

@@ -16,8 +16,8 @@ import numpy as np
 from jaxmps.description import differences, fingerprint, versions
 from jaxmps.flow import Case
 from jaxmps.io import checkpoint_of, read_checkpoint, sync, write_checkpoint
-from jaxmps.monitor import empty_log
 from jaxmps.neighbors import allocate
+from jaxmps.running.log import empty_log
 from jaxmps.running.loop import Clock, Loop, Snapshot
 from jaxmps.running.recorder import Recorder
 from jaxmps.scheme import Scheme
@@ -93,13 +93,14 @@ class Checkpoint:
     def loop(self, case: Case, scheme: Scheme) -> Loop:
         """The loop as it stood then, on this process's device."""
         box, particles, shape = case.box, case.particles, self._list
-        neighbors = allocate(particles.position, box, shape["cutoff"], shape["skin"], shape["capacity"])
+        neighbors = allocate(particles.listed_position, box, shape["cutoff"], shape["skin"], shape["capacity"])
         scalar = jnp.zeros_like(particles.pressure[0])
         flags, step = jnp.zeros(particles.pressure.shape, bool), jnp.zeros((), jnp.int32)
         state = State(particles, neighbors, particles.pressure, flags, scalar, step, scalar)
-        alike = (state, Clock(scalar, scalar, scalar, scalar), empty_log(case.dim))
-        names, arrays = _named(alike), self._arrays
-        state, timer, log = jax.tree.unflatten(jax.tree.structure(alike), [jnp.asarray(arrays[name]) for name in names])
+        alike = (state, Clock(scalar, scalar, scalar, scalar), empty_log(case, particles))
+        empty = _named(alike)
+        carry = [jnp.asarray(_extended(self._arrays.get(name, like), like)) for name, like in empty.items()]
+        state, timer, log = jax.tree.unflatten(jax.tree.structure(alike), carry)
         key = jnp.asarray(self.run["key"], jnp.uint32)
         dt = None if self.run["dt"] is None else jnp.asarray(self.run["dt"], float)
         loop = Loop(case, scheme, state, dt, jax.random.wrap_key_data(key, impl=self.run["key_type"]))
@@ -115,6 +116,11 @@ def fingerprints(case: Case, scheme: Scheme) -> dict[str, dict[str, str]]:
 def next_multiple(every: float, time: float) -> float:
     """The first multiple of `every` [s] after `time` [s], with some room for round-off."""
     return (math.floor(time / every + 1e-6) + 1 - 1e-6) * every
+
+
+def _extended(array: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """A part of the log with the entries that it lacks, empty: of what no step of an older version could tell."""
+    return np.concatenate([array, like[len(array) :]]) if np.ndim(array) and len(array) < len(like) else array
 
 
 def _named(tree: Any) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Key
 from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.flow import FATAL, Case, Event, Outcome, Status
-from jaxmps.monitor import Log, empty_log, events, extend
+from jaxmps.running.log import Log, empty_log, events, extend, judged
 from jaxmps.running.progress import Meter
 from jaxmps.running.upkeep import Upkeep, happened
 from jaxmps.scheme import Scheme
@@ -58,7 +58,7 @@ class Loop:
     def __init__(self, case: Case, scheme: Scheme, state: State, dt: Scalar | None, key: Array):
         self.case, self.scheme, self.dt, self.key = case.undescribed(), scheme, dt, key
         zero = jnp.zeros_like(state.time)
-        self._carry: Progress = (state, Clock(zero, zero, zero, zero), empty_log(case.dim))
+        self._carry: Progress = (state, Clock(zero, zero, zero, zero), empty_log(self.case, state.particles))
         self._upkeep = Upkeep(case, scheme)
 
     @property
@@ -71,7 +71,7 @@ class Loop:
 
     @property
     def outcome(self) -> Outcome:
-        return Outcome(events(self.log) + self._upkeep.notes[0])
+        return self._upkeep.outcome(0, events(self.log))
 
     @property
     def snapshot(self) -> Snapshot:
@@ -154,6 +154,7 @@ def advance_chunk(
         largest = jnp.maximum(timer.largest, now)
         collapsed = limit < _COLLAPSE * largest
         new, info = step(case, scheme, state, now, jax.random.fold_in(key, state.step))
+        info = judged(log, info, state.particles)
         status = info.status | jnp.where(collapsed, int(Status.TIME_STEP_COLLAPSED), 0)
         accepted = (status & stop) == 0
         log = extend(log, info, accepted, state.particles, state.time, state.step)

@@ -13,8 +13,9 @@ from jaxmps._compilation import jit
 from jaxmps.description import describe, versions
 from jaxmps.flow import Case, Kind, Outcome, Status, mechanical_energy
 from jaxmps.io import Writer, read
-from jaxmps.monitor import BITS, Log
+from jaxmps.monitor import BITS
 from jaxmps.results import Run
+from jaxmps.running.log import Log
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State
 
@@ -107,7 +108,8 @@ class Recorder:
         """The run, with its summary."""
         seconds = clock.perf_counter() - self._began
         steps, kind = int(log.steps), np.asarray(state.particles.kind)
-        # Mean number of pairs that the stabilizer kept apart; energies that it and the noise gave in all [J/kg].
+        # Mean number of pairs that the stabilizer kept apart; energies [J/kg] that it, the noise and moving walls gave
+        # in all, and what of these and of the start is neither kinetic nor potential at the end.
         summary = {
             "case": self._case.name,
             "scheme": self._metadata["scheme"]["name"],
@@ -125,6 +127,8 @@ class Recorder:
             "stabilized_pairs": float(log.stabilized) / max(steps, 1),
             "stabilizer_work": float(log.work),
             "noise_work": float(log.given),
+            "wall_work": float(log.wall_work),
+            "dissipated": float(log.lost + log.given + log.work),
             "mean_residual": float(log.residual) / max(steps, 1),
             "wall_seconds": seconds,
             "particle_steps_per_second": steps * len(kind) / seconds,

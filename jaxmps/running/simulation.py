@@ -46,7 +46,7 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
     if capacity is None:
         capacity = usual_capacity(scheme.ratio + skin, case.dim)
     radius = scheme.ratio * case.spacing
-    neighbors = allocate(case.particles.position, case.box, radius, skin * case.spacing, capacity)
+    neighbors = allocate(case.particles.listed_position, case.box, radius, skin * case.spacing, capacity)
     time = jnp.zeros_like(case.particles.pressure[0])
     n, surface = _first_look(case.undescribed(), scheme, neighbors)
     return State(

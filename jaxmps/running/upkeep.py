@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import KDTree
 
-from jaxmps.flow import FATAL, Case, Event, Status
+from jaxmps.flow import FATAL, Case, Event, Outcome, Status
 from jaxmps.kernels import lattice
+from jaxmps.models import NoCollision, NoStabilization
 from jaxmps.neighbors import Neighbors, grow
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State
@@ -29,6 +30,12 @@ class Upkeep:
         self.steps, self.going = _FIRST, np.ones(count, bool)
         self.notes: list[tuple[Event, ...]] = [()] * count
         self._spacing = case.spacing
+        has = {
+            "stabilizer": not isinstance(scheme.stabilizer, NoStabilization),
+            "collisions": not isinstance(scheme.collision, NoCollision),
+            "double": case.particles.position.dtype == np.float64,
+        }
+        self._has = tuple(part for part, there in has.items() if there)
         self._most_slots = min(_CROWDED * lattice(scheme.ratio, case.dim).neighbors, len(case.particles.kind))
 
     def after(self, status: np.ndarray, state_of: Callable[[int], State]) -> list[Neighbors] | None:
@@ -41,11 +48,15 @@ class Upkeep:
         if not full.any():
             return None
         states = [state_of(run) for run in range(len(full))]
-        grown = [grow(state.neighbors, state.particles.position) for state in states]
+        grown = [grow(state.neighbors, state.particles.listed_position) for state in states]
         if grown[0].capacity <= self._most_slots:
             return grown
         self._end(full, Status.CLUSTERED, state_of)
         return None
+
+    def outcome(self, run: int, logged: tuple[Event, ...]) -> Outcome:
+        """How a run has gone so far, from what its steps have `logged`; advice leaves out what its scheme has."""
+        return Outcome(tuple(dataclasses.replace(event, has=self._has) for event in logged + self.notes[run]))
 
     def note(self, run: int, event: Event) -> None:
         self.notes[run] = (*self.notes[run], event)
