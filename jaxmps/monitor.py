@@ -110,7 +110,10 @@ def inspect(
     raised = jnp.where(overflow, jnp.array([bit == Status.TABLE_FULL for bit in BITS]), raised)
     nobody = jnp.array(-1)
     speed = jnp.argmax(jnp.where(kept.fluid, squared_speed, 0.0))
-    culprit = [jnp.argmin(finite), fastest, nobody, nobody, jnp.argmax(gone), jnp.argmax(astray), nobody, speed]
+    # Of those that are not finite one that was not before, if there is any: it has infected the others.
+    before = jnp.all(jnp.isfinite(old.position) & jnp.isfinite(old.velocity), axis=-1)
+    infected = jnp.argmin(jnp.where(jnp.all(before), finite, before))
+    culprit = [infected, fastest, nobody, nobody, jnp.argmax(gone), jnp.argmax(astray), nobody, speed]
     info = StepInfo(
         status=jnp.sum(jnp.where(raised, jnp.array([int(bit) for bit in BITS]), 0)),
         culprit=jnp.stack(culprit),

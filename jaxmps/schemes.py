@@ -44,9 +44,9 @@ def mps(
     """The standard MPS method ([N11] §2; Koshizuka & Oka 1996) with relaxed source and pair collisions.
 
     `relaxation` γ of the PPE source (0 to 1), `beta` of the free surface (0 to 1), collisions closer than
-    `collision_distance` l0 (0 to 1) with `restitution` (0 to 1), Courant number `courant` (0 to 1); `viscous` adds
-    ν ∇²u. `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the pressure solve. Raises `ValueError` for a value out
-    of its range.
+    `collision_distance` l0 (0 to 1) with `restitution` (0 to 1), Courant number `courant` (0 to 1). Fluids have the
+    viscosity of the case, unless `viscous` is false. `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the pressure
+    solve. Raises `ValueError` for a value out of its range.
     """
     unit = {
         "relaxation": relaxation,
@@ -116,9 +116,9 @@ def mps_hs_gc(
     """MPS-HS-GC ([T13] §3.2): corrected gradient, which attracts under tension, and higher-order source. It breaks up.
 
     `beta` of the free surface (0 to 1), Courant number `courant` (0 to 1); `own_density` divides the pressure gradient
-    by the particle's own density, as printed in [T13] Eq. 11, instead of that of each pair; `viscous` adds ν ∇²u.
-    `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the pressure solve. Raises `ValueError` for a value out of its
-    range.
+    by the particle's own density, as printed in [T13] Eq. 11, instead of that of each pair; without `viscous` the
+    viscosity of the case has no effect, as in the papers. `ratio` is r_e / l0 (1.5 to 6), `tolerance` that of the
+    pressure solve. Raises `ValueError` for a value out of its range.
     """
     between("beta", beta, 0.0, 1.0)
     between("courant", courant, 0.0, 1.0)

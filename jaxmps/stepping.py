@@ -169,16 +169,29 @@ def compression(
     return Compression(number_density(w), density_rate(velocity, near, radius), divergence(velocity, near, w, n0))
 
 
+class Limits(NamedTuple):
+    """Δt [s] that the Courant number, gravity and viscosity allow, infinite where they set no limit."""
+
+    speed: Scalar
+    gravity: Scalar
+    viscosity: Scalar
+
+
 def largest_step(case: Case, scheme: Scheme, particles: Particles) -> Scalar:
-    """Δt [s] that the scheme allows at the present velocities, of walls too; infinite at rest without gravity."""
+    """Δt [s] that the scheme allows: the least of `limits`."""
+    speed, gravity, viscosity = limits(case, scheme, particles)
+    return jnp.minimum(jnp.minimum(speed, gravity), viscosity)
+
+
+def limits(case: Case, scheme: Scheme, particles: Particles) -> Limits:
+    """What limits Δt at the present velocities, of walls too."""
     squared_speed = jnp.sum(particles.velocity**2, axis=-1)
     fastest = jnp.max(jnp.where(particles.kind != Kind.REMOVED, squared_speed, 0.0))
     rule, spacing = scheme.time_step, case.spacing
     courant = _over_root(rule.courant * spacing, fastest)
     falling = _over_root(rule.gravity_limit * spacing**0.5, jnp.sqrt(positive_or_one(jnp.sum(case.gravity**2))))
     falling = jnp.where(jnp.any(case.gravity != 0), falling, jnp.inf)
-    viscous = scheme.viscosity.largest_step(case.fluids.viscosity, spacing, case.dim)
-    return jnp.minimum(jnp.minimum(courant, falling), viscous)
+    return Limits(courant, falling, scheme.viscosity.largest_step(case.fluids.viscosity, spacing, case.dim))
 
 
 def _over_root(a: Scalar, squared: Scalar) -> Scalar:

@@ -209,7 +209,9 @@ def equation(flow: Flow, surface: Bool[Array, " n"], source: Float[Array, " n"])
     """The pressure equation, preconditioned by multigrid, with a cold start."""
     near = pairs(flow.neighbors, flow.case.particles, flow.case.spacing)
     zero, w, density = jnp.zeros_like(source), pair_weight(near, RATIO), flow.case.density
-    predicted = Prediction(flow.case.particles, flow.neighbors, near, w, zero, surface, source, density, zero, jnp.zeros(()))
+    predicted = Prediction(
+        flow.case.particles, flow.neighbors, near, w, zero, surface, source, density, zero, jnp.zeros(())
+    )
     return pressure_equation(flow.case, schemes.mps(), predicted)
 
 

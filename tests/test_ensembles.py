@@ -23,8 +23,7 @@ from jaxmps.ensembles import lanes
 from jaxmps.ensembles.batch_size import bytes_of
 from jaxmps.ensembles.members import members
 from jaxmps.io import read_ensemble, write_ensemble
-from jaxmps.monitor import empty_log
-from jaxmps.running import loop, simulation
+from jaxmps.running import empty_log, loop, simulation
 
 ALPHAS = (0.0, 0.02, 0.04)
 KEYS = jax.vmap(jax.random.key)(jnp.arange(3))
@@ -126,7 +125,7 @@ def test_a_full_table_of_one_member_is_enlarged_without_changing_the_answer(swep
 def test_memory_of_a_member_stays_below_what_is_reckoned_with(swept):
     case, scheme = swept[0][0], mps.schemes.stochastic(mps.schemes.mps(), alpha=0.0)
     zero = jnp.zeros(())
-    carry = (mps.start(case, scheme), loop.Clock(zero, zero, zero, zero), empty_log(2))
+    carry = (mps.start(case, scheme), loop.Clock(zero, zero, zero, zero), empty_log(case, case.particles))
     program = jax.jit(loop.advance_chunk).lower(case.undescribed(), scheme, carry, None, KEYS[0], jnp.asarray(4))
     told: Any = program.compile().memory_analysis()
     taken = told.temp_size_in_bytes + told.argument_size_in_bytes + told.output_size_in_bytes

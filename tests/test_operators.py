@@ -9,6 +9,7 @@ from arrangements import CLOUD, DIMENSIONS, SPACING, block, cloud, strength, tab
 
 from jaxmps._vectors import joined
 from jaxmps.models import Inviscid, Viscous
+from jaxmps.neighbors import Pairs
 from jaxmps.operators import MinPressure, laplacian, number_density, pair_weight
 from jaxmps.operators.gradient import minimum
 
@@ -70,18 +71,35 @@ def test_viscous_acceleration_of_a_parabolic_flow_is_viscosity_times_its_curvatu
     b = block(dim)
     u = jnp.sum(b.points**2, axis=-1)[:, None] * jnp.arange(1.0, dim + 1)
     nu = jnp.full(len(b.points), 0.3)
-    found = Viscous()(u, nu, b.pairs, b.w, b.n0, b.lam)[b.interior]
+    flow = nu, jnp.full_like(nu, 900.0), jnp.full(len(nu), True)
+    found = Viscous()(u, *flow, b.pairs, b.w, b.n0, b.lam)[b.interior]
     np.testing.assert_allclose(found, np.broadcast_to(0.3 * 2 * dim * np.arange(1.0, dim + 1), found.shape), rtol=1e-9)
-    np.testing.assert_array_equal(Inviscid()(u, nu, b.pairs, b.w, b.n0, b.lam), 0.0)
+    np.testing.assert_array_equal(Inviscid()(u, *flow, b.pairs, b.w, b.n0, b.lam), 0.0)
 
 
-def test_phases_of_different_viscosity_exchange_momentum_without_loss():
+@pytest.mark.parametrize("ratio", [1.0, 1000.0])
+def test_phases_of_any_density_and_viscosity_exchange_momentum_without_loss(ratio):
     near, w = cloud()
     rng = np.random.default_rng(7)
     u, nu = jnp.array(rng.normal(size=(150, near.dim))), jnp.array(rng.uniform(0.1, 2.0, 150))
-    found = Viscous()(u, nu, near, w, 6.5, 0.01)
-    assert np.abs(found.sum(axis=0)).max() < 1e-12 * float(jnp.abs(found).sum())
-    assert float(jnp.sum(u * found)) < 0.0  # and take energy out of the flow
+    nu = nu.at[:20].set(0.0)
+    density = jnp.array(np.where(rng.random(150) > 0.5, 1.0, ratio))
+    found = Viscous()(u, nu, density, jnp.full(150, True), near, w, 6.5, 0.01)
+    force = density[:, None] * found
+    assert np.abs(force.sum(axis=0)).max() < 1e-12 * float(jnp.abs(force).sum())
+    assert float(jnp.sum(u * force)) < 0.0  # and take energy out of the flow
+
+
+def test_harmonic_mean_of_dynamic_viscosities_stands_between_two_fluids_and_twice_its_own_at_a_wall():
+    # Two particles: the coefficient of the pair is what one feels of the velocity of the other.
+    one, beside = jnp.array([[0], [1]]), (jnp.array([[0.1], [-0.1]]), jnp.zeros((2, 1)))
+    near, w = Pairs(1 - one, beside, jnp.full((2, 1), 0.1), jnp.full((2, 1), True)), jnp.full((2, 1), 1.1)
+    nu, density = jnp.array([0.2, 3.0]), jnp.array([1000.0, 1.0])
+    u = jnp.array([[0.0, 0.0], [1.0, 0.0]])
+    coefficient = 4.0 / (0.01 * 6.5) * float(w[0, 0])
+    for moves, mu in ((True, 2.0 * 200.0 * 3.0 / 203.0), (False, 2.0 * 200.0)):
+        found = Viscous()(u, nu, density, jnp.array([True, moves]), near, w, 6.5, 0.01)
+        assert float(found[0, 0]) == pytest.approx(coefficient * mu / 1000.0, rel=1e-12)
 
 
 @DIMENSIONS

@@ -31,7 +31,8 @@ def hexagons(count: int, distance: float) -> np.ndarray:
 def above_a_tank(*clumps: np.ndarray) -> Flow:
     """The clumps in the air above a column of water between walls."""
     points, kind, phase, density = particles_of("dam_break", 1)
-    more = np.concatenate([np.zeros((0, 2)), *(clump + [8.0 + 14.0 * k, 30.0] for k, clump in enumerate(clumps))])
+    placed = [clump + np.array([8.0 + 14.0 * k, 30.0]) for k, clump in enumerate(clumps)]
+    more = np.concatenate([np.zeros((0, 2)), *placed])
     fluid = np.full(len(more), Kind.FLUID)
     together = np.concatenate([points, more]), np.concatenate([kind, fluid]), np.concatenate([phase, 0 * fluid])
     return made(CROWDED, *together, density)
@@ -160,7 +161,7 @@ def test_derivatives_are_those_of_central_differences():
 def test_water_at_rest_keeps_its_pressure_under_a_drop_as_compact_as_a_solid():
     case = mps.cases.hydrostatic(spacing=0.1, length=1.0, height=0.5, freeboard=1.5)
     p = case.particles
-    drop = hexagons(7, 0.07) + [0.5, 1.3]
+    drop = hexagons(7, 0.07) + np.array([0.5, 1.3])
     count = len(p.kind)
     more = at_rest(np.concatenate([p.position, drop]), np.concatenate([p.kind, np.zeros(7, int)]))
     with_drop = mps.Case(more, case.fluids, case.gravity, case.spacing, case.box)
@@ -174,6 +175,7 @@ def test_a_solve_that_fails_ends_the_run_at_its_last_good_state():
     scheme = dataclasses.replace(mps.schemes.mps(), preconditioning=ByDiagonal(), max_iterations=1)
     with pytest.warns(mps.SimulationWarning, match="the pressure solve failed"):
         run = mps.simulate(case, scheme, until=0.1, dt=0.005)
-    assert not run.status.completed and run.status.fatal.status == Status.SOLVE_FAILED
-    assert run.status.fatal.value > 0.1 and "larger max_iterations" in run.status.fatal.advice
+    end = run.status.fatal
+    assert end is not None and end.value is not None and end.status == Status.SOLVE_FAILED
+    assert end.value > 0.1 and "larger max_iterations" in end.advice
     assert np.isfinite(run.pressure).all()

@@ -34,7 +34,8 @@ def solved(flow: Flow, surface, b, x_bar):
     def f(position, b):
         system = equation(flow.at(position), surface, b)
         b = jnp.where(system.unknown, b, 0.0)
-        p, convergence = solve(system.operator, b, jnp.zeros_like(b), system.preconditioner, TOLERANCE, MOST)
+        cold = system._replace(source=-b, previous=jnp.zeros_like(b))
+        p, convergence = solve_pressure(cold, TOLERANCE, MOST)
         return x_bar @ p, (p, system, convergence.converged)
 
     graded = jax.value_and_grad(f, (0, 1), has_aux=True)

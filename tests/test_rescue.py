@@ -13,7 +13,7 @@ from hasty import by_diagonal
 
 import jaxmps as mps
 from jaxmps.flow import FATAL, MESSAGES, Event, Outcome, Status, at_rest
-from jaxmps.flow.status import ADVICE
+from jaxmps.flow.status import ADVICE, advice_on
 from jaxmps.running import Loop
 from jaxmps.running.progress import meter
 from jaxmps.running.rescue import Rescue
@@ -139,9 +139,9 @@ def test_every_cause_has_a_message_and_advice_that_reach_a_person():
     assert set(ADVICE) == set(MESSAGES) == set(Status)
     for bit in Status:
         event = Event(int(bit), 0.5, 10)
-        assert Outcome((event,)).advice == event.advice == ADVICE[bit]
+        assert Outcome((event,)).advice == event.advice == advice_on(bit)
     both = Outcome((Event(int(Status.ESCAPED), 0.1, 1), Event(int(Status.NOT_FINITE), 0.2, 2)))
-    assert both.advice == ADVICE[Status.NOT_FINITE] and both.fatal == both.events[1]
+    assert both.advice == advice_on(Status.NOT_FINITE) and both.fatal == both.events[1]
     assert Outcome().advice == "" and Outcome().fatal is None
 
 

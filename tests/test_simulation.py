@@ -111,7 +111,7 @@ def test_a_pressure_solve_that_misses_its_tolerance_is_reported(scheme):
     start = mps.start(dam(), hasty)
     few = mps.Scheme(
         **{f: getattr(hasty, f) for f in hasty.__dataclass_fields__ if f != "max_iterations"},
-        max_iterations=3,
+        max_iterations=12,
     )
     run = mps.simulate(dam(), few, until=0.02, start=start)
     event = next(e for e in run.status.events if e.status == Status.NOT_CONVERGED)

@@ -10,7 +10,7 @@ from jaxmps.casefile.memory import file_size, memory
 from jaxmps.casefile.plane import CLOSE
 from jaxmps.casefile.setup import Setup
 from jaxmps.flow import Kind
-from jaxmps.stepping import largest_step
+from jaxmps.stepping import limits
 
 # README, "Speed": µs per particle and step on two cores of a server.
 _MICROSECONDS = {(2, "single"): 1.2, (2, "double"): 1.8, (3, "single"): 2.6, (3, "double"): 4.5}
@@ -39,14 +39,15 @@ def check(setup: Setup) -> Report:
         name = setup.fluids[i] if setup.fluids else f"phase {i}"
         content[name] = f"{count} particles, {rho:g} kg/m^3, {count * rho * case.spacing**case.dim:.5g} {unit}"
     content["domain"] = f"{_corner(case.box.lower)} to {_corner(case.box.upper)} m"
-    steps = _steps(setup)
+    steps, (later, at_start) = _steps(setup)
     seconds = steps[1] * len(kind) * _MICROSECONDS[case.dim, run.precision] * 1e-6 + _STARTING
-    first, later = memory(setup)
+    first, again = memory(setup)
     two_cores = "on two cores of a server"
     expected = {
-        "time step": f"{run.until / steps[1]:.2g} s in fast flow, {run.until / steps[0]:.2g} s at the start",
+        "time step": f"{run.until / steps[1]:.2g} s in fast flow{later}, {run.until / steps[0]:.2g} s at the start"
+        f"{at_start}",
         "steps": f"{steps[0]} to {steps[1]}",
-        "memory": f"{_megabytes(first)} in the first run, {_megabytes(later)} in later ones, which need not compile",
+        "memory": f"{_megabytes(first)} in the first run, {_megabytes(again)} in later ones, which need not compile",
         "file": f"{file_size(setup):.3g} MB",
         "wall time": f"up to {_duration(seconds)} without compiling, {two_cores}; a GPU is faster",
         "compiling": f"about {_duration(_COMPILING[case.dim])} before the first step, {two_cores}; later runs of this "
@@ -59,25 +60,31 @@ def _corner(point: tuple[float, ...]) -> str:
     return f"({', '.join(f'{x:.4g}' for x in point)})"
 
 
-def _steps(setup: Setup) -> tuple[int, int]:
-    """Fewest and most steps: as large as at the start, and at the speed of a fall through the whole of the fluid."""
+def _steps(setup: Setup) -> tuple[tuple[int, int], tuple[str, str]]:
+    """Fewest and most steps: as large as at the start, and at the speed of a fall through the whole of the fluid; of
+    most and fewest what limits them.
+    """
     case, run = setup.case, setup.run
     if run.dt is not None:
         count = math.ceil(run.until / run.dt)
-        return count, count
+        return (count, count), (" (fixed)", " (fixed)")
     position, kind = np.asarray(case.particles.position), np.asarray(case.particles.kind)
     gravity = np.asarray(case.gravity)
-    start = float(largest_step(case, setup.scheme, case.particles))
+    allowed = {cause: float(x) for cause, x in limits(case, setup.scheme, case.particles)._asdict().items()}
+    first = min(allowed, key=lambda cause: allowed[cause])
+    start = allowed[first]
     size = float(np.linalg.norm(gravity))
     speed = float(np.max(np.linalg.norm(np.asarray(case.particles.velocity)[kind == Kind.FLUID], axis=1)))
     if size > 0.0:
         depth = position @ gravity / size
         fall = max(float(depth.max() - depth[kind == Kind.FLUID].min()), 0.0)
         speed = math.sqrt(speed**2 + 2.0 * size * fall)
-    if not math.isfinite(start) and speed == 0.0:
+    if not math.isfinite(min(allowed["speed"], allowed["gravity"])) and speed == 0.0:
         raise ValueError("dt must be given (in s) for a case at rest without gravity: the scheme sets no limit")
-    fast = min(start, float(setup.scheme.time_step.courant) * case.spacing / speed)
-    return math.ceil(run.until / start), max(math.ceil(run.until / fast), math.ceil(run.until / run.save_every))
+    fast = float(setup.scheme.time_step.courant) * case.spacing / speed if speed > 0.0 else math.inf
+    last, fast = ("speed", fast) if fast < start else (first, start)
+    counts = math.ceil(run.until / start), max(math.ceil(run.until / fast), math.ceil(run.until / run.save_every))
+    return counts, (f" (limited by {last})", f" (limited by {first})")
 
 
 def _megabytes(size: float) -> str:

@@ -38,7 +38,7 @@ headroom = 0.4                     # m, room above the geometry: particles that 
 [[fluid]]
 name = "water"
 density = 1000.0                   # kg/m^3
-viscosity = 1e-6                   # m^2/s, has an effect with a scheme that is viscous
+viscosity = 1e-6                   # m^2/s
 
 # A fluid has one or more bodies: polygon, box (two corners), circle = { center = [x, y], radius = r };
 # in 3-D box, sphere or stl = "file.stl" (with scale and offset). A later body takes the place of an earlier one.

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, FAILED, INTERRUPTED = 2, 1, 130
 _SHOWN = {"time": "s", "energy_start": "J/kg", "energy_end": "J/kg", "max_speed": "m/s"}
-_SHOWN |= {"stabilizer_work": "J/kg", "noise_work": "J/kg", "wall_seconds": "s", "particle_steps_per_second": "1/s"}
+_SHOWN |= dict.fromkeys(("stabilizer_work", "noise_work", "wall_work", "dissipated"), "J/kg")
+_SHOWN |= {"wall_seconds": "s", "particle_steps_per_second": "1/s"}
 
 
 def say(kind: str, message: str) -> None:

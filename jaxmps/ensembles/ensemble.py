@@ -21,9 +21,8 @@ from jaxmps.ensembles.lanes import Look
 from jaxmps.ensembles.members import Member, members
 from jaxmps.flow import Case
 from jaxmps.io.member_files import MemberFiles
-from jaxmps.running import Log
 from jaxmps.results import Ensemble
-from jaxmps.running import counter, fields, frame_times
+from jaxmps.running import Log, counter, fields, frame_times
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State
 from jaxmps.validation import positive, whole

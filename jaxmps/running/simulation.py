@@ -23,7 +23,7 @@ from jaxmps.running.progress import meter
 from jaxmps.running.recorder import Recorder
 from jaxmps.running.rescue import Rescue
 from jaxmps.scheme import Scheme
-from jaxmps.stepping import State, density_and_surface, largest_step
+from jaxmps.stepping import State, density_and_surface, limits
 from jaxmps.validation import positive
 
 _MOST_FRAMES = 1_000_000  # a mistyped time, not a plan
@@ -166,5 +166,6 @@ _start = start  # `simulate` has an argument of that name
 
 
 def _check_time_step(case: Case, scheme: Scheme, state: State, dt: Scalar | None) -> None:
-    if dt is None and not np.isfinite(float(largest_step(case, scheme, state.particles))):
+    speed, gravity, _ = limits(case, scheme, state.particles)
+    if dt is None and not np.isfinite(min(float(speed), float(gravity))):
         raise ValueError("dt must be given (in s) for a case at rest without gravity: the scheme sets no limit")
