@@ -29,7 +29,7 @@ LEAVES = {
 }
 THRESHOLDS = {"free_surface.beta", "free_surface.asymmetry", "free_surface.sparse", "collision.distance"}
 """Where they lie decides between branches, which have no derivative."""
-TIME_STEP = {"time_step.courant", "time_step.gravity_limit"}
+TIME_STEP = {"time_step.courant", "time_step.gravity_limit", "viscosity.limit"}
 """Not asked while dt is given."""
 SHORT = ("mps", "cmps_hs", "mps_cd_gc_ds")
 """What takes the time is to compile a scheme, and these three have the models of all: 12 steps; slowly all and 50."""
