@@ -68,8 +68,8 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     near = pairs(neighbors, old, spacing)
     w = pair_weight(near, radius)
     current = compression(old.velocity, near, w, radius, n0)
-    viscosity = case.fluids.viscosity[old.phase]
-    viscous = scheme.viscosity(old.velocity, viscosity, case.density, old.fluid, near, w, n0, lam * spacing**2)
+    viscosity, density = case.distinct_viscosity, case.distinct_density
+    viscous = scheme.viscosity(old.velocity, viscosity, density, old.fluid, near, w, n0, lam * spacing**2)
     u = old.velocity + jnp.where(moving, dt * (viscous + case.gravity), 0.0)
     mass = jnp.where(old.fluid, case.density, 0.0)
     noise = scheme.noise(u, state.loss, mass, case.box.periodic, key)
@@ -85,7 +85,6 @@ def predict(case: Case, scheme: Scheme, state: State, dt: Scalar, key: Key[Array
     w = pair_weight(near, radius)
     n, surface = density_and_surface(case, scheme, old, near, w)
     source = scheme.source(compression(predicted.velocity, near, w, radius, n0), current, n0, dt)
-    density = case.distinct_density
     density = density if len(density) == 1 else beside_walls(density, old.fluid, near, w)
     return Prediction(predicted, neighbors, near, w, n, surface, source, density, noise, given)
 

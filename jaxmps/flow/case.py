@@ -80,6 +80,12 @@ class Case(eqx.Module):
         """`density`, or its only value where there is one fluid: nothing has to be read for each pair then."""
         return self.fluids.density if len(self.fluids.density) == 1 else self.density
 
+    @property
+    def distinct_viscosity(self) -> Float[Array, " #n"]:
+        """The kinematic viscosity of each particle [m²/s], or its only value where there is one fluid."""
+        viscosity = self.fluids.viscosity
+        return viscosity if len(viscosity) == 1 else viscosity[self.particles.phase]
+
 
 def _check_values(case: Case) -> None:
     particles = case.particles

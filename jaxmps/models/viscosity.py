@@ -18,15 +18,18 @@ class AbstractViscosity(eqx.Module):
     def __call__(
         self,
         velocity: Float[Array, "n d"],
-        viscosity: Float[Array, " n"],
-        density: Float[Array, " n"],
+        viscosity: Float[Array, " #n"],
+        density: Float[Array, " #n"],
         moves: Bool[Array, " n"],
         pairs: Pairs,
         w: Float[Array, "n k"],
         n0: float,
         lam: float,
     ) -> Float[Array, "n d"]:
-        """Acceleration [m/s²] of what `moves`, from the kinematic viscosity [m²/s] and density of each particle."""
+        """Acceleration [m/s²] of what `moves`, from the kinematic viscosity [m²/s] and density [kg/m³] of each particle.
+
+        Both are of one entry where there is one fluid.
+        """
 
     @abc.abstractmethod
     def largest_step(self, viscosity: Float[Array, " phases"], spacing: float, dim: int) -> Scalar:
@@ -60,11 +63,12 @@ class Viscous(AbstractViscosity):
     limit: Scalar = eqx.field(converter=as_array, default=0.5)
 
     def __call__(self, velocity, viscosity, density, moves, pairs, w, n0, lam):
-        own = density * viscosity
-        there = pairs.at_j(own)
-        both = own[:, None] + there
-        mean = jnp.where(both > 0, 2.0 * own[:, None] * there / positive_or_one(both), 0.0)
-        mu = jnp.where(pairs.at_j(moves), mean, 2.0 * own[:, None])
+        own = mean = (density * viscosity)[:, None]
+        if len(own) > 1:
+            there = pairs.at_j(own[:, 0])
+            both = own + there
+            mean = jnp.where(both > 0, 2.0 * own * there / positive_or_one(both), 0.0)
+        mu = jnp.where(pairs.at_j(moves), mean, 2.0 * own)
         return laplacian(velocity, pairs, mu * w, n0, lam) / density[:, None]
 
     def largest_step(self, viscosity, spacing, dim):
