@@ -1,5 +1,6 @@
 """Running a case: the host's loop with its recorder, rescue and checkpoints, and the pure `rollout`."""
 
+from jaxmps.running.checks import check_precision as check_precision
 from jaxmps.running.loop import Clock as Clock
 from jaxmps.running.loop import Loop as Loop
 from jaxmps.running.loop import advance_chunk as advance_chunk

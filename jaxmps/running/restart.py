@@ -7,6 +7,7 @@ from jaxmps.description import differences, versions
 from jaxmps.flow import Case, SimulationWarning
 from jaxmps.io import checkpoint_of, read
 from jaxmps.results import Run
+from jaxmps.running.checks import check_precision
 from jaxmps.running.checkpoints import Checkpoint, Checkpoints, next_multiple
 from jaxmps.running.loop import frame_times
 from jaxmps.running.recorder import Recorder
@@ -33,6 +34,7 @@ def resume(path: str | Path, case: Case, scheme: Scheme, *, progress: bool | Non
         raise ValueError(f"{path} has no checkpoint to resume from: checkpoint_every of simulate makes them")
     checkpoint = Checkpoint(path)
     checkpoint.check(case, scheme)
+    check_precision(case=case, scheme=scheme)
     if changed := differences(checkpoint.versions, versions()):
         told = f"the run may differ in round-off from one that was not stopped: {'; '.join(changed)}"
         warnings.warn(told, SimulationWarning, stacklevel=2)

@@ -14,6 +14,7 @@ from jaxmps._types import ArrayLike
 from jaxmps.flow import Case
 from jaxmps.monitor import StepInfo
 from jaxmps.pressure import SOLUTION
+from jaxmps.running.checks import check_start
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State, largest_step, step
 from jaxmps.validation import whole
@@ -71,11 +72,12 @@ def rollout(
 
     Chaos makes derivatives over many steps grow without bound. With a `window`, the state after each so many steps
     counts as given: a derivative then holds the effects within windows only. Raises `ValueError` for numbers of steps
-    below one.
+    below one, a `start` of another case or for another radius, and what was made in another precision.
     """
     for name, value in {"steps": steps, "segment": segment, "window": window}.items():
         if value is not None:
             whole(name, value, least=1)
+    check_start(case, scheme, start)
     key = jax.random.key(0) if key is None else key
     dt = None if dt is None else jnp.asarray(dt, float)
     segment = _segment(steps) if segment is None else min(segment, steps)

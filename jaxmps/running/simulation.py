@@ -17,6 +17,7 @@ from jaxmps.io import checkpoint_of
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.results import Run
+from jaxmps.running.checks import check_precision, check_start
 from jaxmps.running.checkpoints import Checkpoints
 from jaxmps.running.loop import Loop, frame_times
 from jaxmps.running.progress import meter
@@ -34,9 +35,10 @@ def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | Non
 
     The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default a quarter
     more than particles have neighbors in a uniform cloud. Raises `ValueError` if the box is too short along a periodic
-    axis: a particle would meet two images of another.
+    axis, where a particle would meet two images of another, and if case or scheme were made in another precision.
     """
     positive("skin", skin, "spacings")
+    check_precision(case=case, scheme=scheme)
     for periodic, axis, length in zip(case.box.periodic, "xyz", case.box.lengths, strict=False):
         if periodic and length < 2.0 * scheme.ratio * case.spacing:
             raise ValueError(
@@ -98,8 +100,9 @@ def simulate(
     apart, at or after each multiple of that time. The steps are the same with and without. `resume` carries the run on
     after a kill or a failure of the machine; the checkpoint of a run that has reached its end is removed.
 
-    Raises `ValueError` for times that are not positive, an unknown `on_blowup`, or checkpoints with "halve-dt",
-    `FileExistsError` for an existing file.
+    Raises `ValueError` for times that are not positive, an unknown `on_blowup`, checkpoints with "halve-dt", a `start`
+    of another case or for another radius, and what was made in another precision; `FileExistsError` for an existing
+    file.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
@@ -107,6 +110,8 @@ def simulate(
         raise ValueError(f"save_every must leave at most {_MOST_FRAMES} frames up to {until:g} s, got {save_every:g} s")
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     key = jax.random.key(0) if key is None else key
+    if start is not None:
+        check_start(case, scheme, start)
     state = _start(case, scheme) if start is None else start
     begin = float(state.time)
     if begin >= until:
