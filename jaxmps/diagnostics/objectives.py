@@ -77,7 +77,7 @@ def tip_radius(case: Case, state: State, center: ArrayLike | None = None, width:
     if center is None:
         mass = jnp.where(fluid, case.density, 0.0)
         center = mass @ particles.position / positive_or_one(jnp.sum(mass))
-    squared = jnp.sum((particles.position - jnp.asarray(center)) ** 2, axis=-1)
+    squared = jnp.sum(case.box.displacement(particles.position - jnp.asarray(center)) ** 2, axis=-1)
     radius = jnp.where(squared > 0, jnp.sqrt(positive_or_one(squared)), 0.0)
     return smooth_maximum(radius, width * case.spacing, fluid)
 

@@ -148,7 +148,7 @@ def _metadata(first: Member, run: dict[str, Any]) -> dict[str, Any]:
         "case": {"name": case.name, **dict(case.parameters)},
         "scheme": {"name": scheme.name, **describe(scheme)},
         "run": {**run, "precision": str(case.particles.position.dtype)},
-        "box": {"lower": list(case.box.lower), "upper": list(case.box.upper)},
+        "box": case.box.described(),
         "versions": versions(),
     }
 

@@ -1,11 +1,16 @@
 """The domain: an axis-parallel box, each axis open or periodic."""
 
+from typing import Any, TypeAlias
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._vectors import components, joined
 from jaxmps.validation import number
+
+AnyArray: TypeAlias = Array | np.ndarray
 
 
 class Box(eqx.Module):
@@ -53,15 +58,16 @@ class Box(eqx.Module):
         """The length [m] along each axis."""
         return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
-    def displacement(self, r_ij: Float[Array, "*pairs d"]) -> Float[Array, "*pairs d"]:
-        """`r_j − r_i` [m] to the nearest image of j along the periodic axes."""
+    def displacement(self, r_ij: Float[AnyArray, "*pairs d"]) -> Float[AnyArray, "*pairs d"]:
+        """`r_j − r_i` [m] to the nearest image of j along the periodic axes; of NumPy's arrays one of NumPy's."""
         if not any(self.periodic):
             return r_ij
-        return joined(tuple(self.nearest(axis, x) for axis, x in enumerate(components(r_ij))))
+        nearest = tuple(self.nearest(axis, x) for axis, x in enumerate(components(r_ij)))
+        return np.stack(nearest, axis=-1) if isinstance(r_ij, np.ndarray) else joined(nearest)
 
-    def nearest(self, axis: int, x: Float[Array, "*pairs"]) -> Float[Array, "*pairs"]:
+    def nearest(self, axis: int, x: Float[AnyArray, "*pairs"]) -> Float[AnyArray, "*pairs"]:
         """The component of `r_j − r_i` [m] along an axis to the nearest image of j."""
-        return x - self.lengths[axis] * jnp.round(x / self.lengths[axis]) if self.periodic[axis] else x
+        return x - self.lengths[axis] * (x / self.lengths[axis]).round() if self.periodic[axis] else x
 
     def wrap(self, position: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
         """Positions [m] moved back by whole periods along the periodic axes."""
@@ -72,6 +78,25 @@ class Box(eqx.Module):
         # Just below the lower end, round-off would give the upper one.
         inside = jnp.where(inside >= jnp.array(self.upper, position.dtype), lower, inside)
         return jnp.where(jnp.array(self.periodic), inside, position)
+
+    def torus(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places from the lower corner on [m], and the periods [m], 0 along open axes: what scipy's `KDTree` takes as
+        its `boxsize`.
+        """
+        periods = np.where(self.periodic, self.lengths, 0.0)
+        places = np.asarray(position, float) - np.array(self.lower)
+        turns = np.where(periods > 0.0, periods, 1.0)
+        # Of a tiny negative number the remainder is the period itself.
+        return np.where(periods > 0.0, places % turns % turns, places), periods
+
+    def described(self) -> dict[str, Any]:
+        """Its arguments as values for JSON."""
+        return {
+            "lower": list(self.lower),
+            "upper": list(self.upper),
+            "periodic": list(self.periodic),
+            "mirror": self.mirror,
+        }
 
     def reflect(
         self, position: Float[Array, "n d"], velocity: Float[Array, "n d"]

@@ -58,6 +58,7 @@ class Recorder:
             "case": {"name": case.name, **dict(case.parameters)},
             "scheme": {"name": scheme.name, **describe(scheme)},
             "run": {**settings, "precision": str(position.dtype)},
+            "box": case.box.described(),
             "versions": versions(),
         }
         self._times: list[float] = []
