@@ -5,8 +5,6 @@ import math
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-import numpy as np
 import optax
 import pytest
 from hasty import by_diagonal

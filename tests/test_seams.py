@@ -1,4 +1,4 @@
-"""Nothing happens at the seam of a periodic axis: neither to walls that move along it, nor to what is measured there."""
+"""Nothing happens at the seam of a periodic axis, neither to walls that move along it nor to what is measured there."""
 
 import dataclasses
 
@@ -33,7 +33,7 @@ def test_a_flow_and_its_floor_that_move_round_a_period_are_the_ones_that_stand()
     apart = moved.position - gone - still.position
     apart[..., 0] -= np.round(apart[..., 0])
     np.testing.assert_allclose(apart, 0.0, atol=1e-6)
-    np.testing.assert_allclose(moved.velocity, still.velocity + [BELT, 0.0], atol=1e-5)
+    np.testing.assert_allclose(moved.velocity, still.velocity + np.array([BELT, 0.0]), atol=1e-5)
     assert np.all((moved.position[..., 0] >= 0.0) & (moved.position[..., 0] < 1.0))
     assert np.abs(still.velocity).max() > 0.05  # the wave has begun to fall
 
@@ -58,7 +58,7 @@ def two(x: tuple[float, float], pressure: float = 0.0) -> mps.Run:
     position = np.array([[[x[0], 0.3], [x[1], 0.3]]])
     ones, zeros = np.ones((1, 2)), np.zeros((1, 2))
     metadata = {"box": {"lower": [0.0, 0.0], "upper": [1.0, 1.0], "periodic": [True, False], "mirror": None}}
-    fields = dict(pressure=pressure * ones, number_density=ones, surface=zeros > 0, kind=zeros.astype(int))
+    fields = {"pressure": pressure * ones, "number_density": ones, "surface": zeros > 0, "kind": zeros.astype(int)}
     return mps.Run(
         time=np.zeros(1), position=position, velocity=0.0 * position, phase=np.zeros(2, int), density=np.ones(2),
         spacing=0.1, energy=np.zeros((1, 2)), metadata=metadata, **fields,

@@ -50,8 +50,8 @@ class Table(AbstractSignal):
     """Values [m or rad] at increasing times [s], two at least, and in between what `interpolation` says.
 
     With "pchip" these are cubics with the slopes of `pchip_slopes`: continuous in velocity, monotone wherever the
-    values are, so that nothing overshoots and what rests in the table rests. With "linear" straight lines: each entry is
-    an impulse. Before the first time and after the last, it stays where it is there.
+    values are, so that nothing overshoots and what rests in the table rests. With "linear" they are straight lines:
+    each entry is an impulse. Before the first time and after the last, it stays where it is there.
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_array)

@@ -87,7 +87,8 @@ def update(neighbors: Neighbors, position: Float[Array, "n d"]) -> Neighbors:
     """
     box = neighbors.box
     inside = box.wrap(jax.lax.stop_gradient(position)) - jnp.array(box.lower, position.dtype)
-    return eqx.tree_at(lambda n: n.table, neighbors, neighbors.table.update(inside))
+    # A list has no derivative, also where one by a whole state is asked for.
+    return eqx.tree_at(lambda n: n.table, neighbors, jax.lax.stop_gradient(neighbors.table).update(inside))
 
 
 _build = jit(update)

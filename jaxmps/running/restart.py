@@ -7,8 +7,8 @@ from jaxmps.description import differences, versions
 from jaxmps.flow import Case, SimulationWarning
 from jaxmps.io import checkpoint_of, read
 from jaxmps.results import Run
-from jaxmps.running.checks import check_precision
 from jaxmps.running.checkpoints import Checkpoint, Checkpoints, next_multiple
+from jaxmps.running.checks import check_precision
 from jaxmps.running.loop import frame_times
 from jaxmps.running.recorder import Recorder
 from jaxmps.running.rescue import Rescue

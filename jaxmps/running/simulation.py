@@ -17,8 +17,8 @@ from jaxmps.io import checkpoint_of
 from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
 from jaxmps.operators import pair_weight
 from jaxmps.results import Run
-from jaxmps.running.checks import check_precision, check_start
 from jaxmps.running.checkpoints import Checkpoints
+from jaxmps.running.checks import check_precision, check_start
 from jaxmps.running.loop import Loop, frame_times
 from jaxmps.running.progress import meter
 from jaxmps.running.recorder import Recorder
