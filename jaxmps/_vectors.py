@@ -4,7 +4,7 @@ A sum over the axes of an `(n, k, d)` array is a loop of two or three rounds ins
 times slower than the same sum of `d` arrays `(n, k)`.
 """
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
@@ -15,7 +15,7 @@ Vectors: TypeAlias = tuple[Float[Array, "n k"], ...]
 """The components of a vector for each pair, one array for each axis."""
 
 
-def components(x: Any) -> tuple[Any, ...]:
+def components(x: Shaped[Array, "*shape d"]) -> tuple[Shaped[Array, "*shape"], ...]:
     """The components of vectors that stand along the last axis."""
     return tuple(x[..., axis] for axis in range(x.shape[-1]))
 

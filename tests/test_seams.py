@@ -89,7 +89,7 @@ def test_the_closest_pair_of_a_run_that_ended_in_clusters_may_lie_across_the_sea
 def test_the_radius_of_a_tip_is_taken_to_the_nearest_image():
     case = belt(0.0)
     state = mps.start(case, by_diagonal(mps.schemes.mps()))
-    far = mps.diagnostics.tip_radius(case, state, center=[0.0, 0.15], width=1e-3)
+    far = mps.diagnostics.tip_radius(case, state, center=np.array([0.0, 0.15]), width=1e-3)
     # Along x nothing is farther than half the period: the columns beside x = 0.5, and of these the farthest row.
     x, y = np.asarray(case.particles.position)[np.asarray(case.particles.fluid)].T
     away = np.hypot(np.minimum(x, 1.0 - x), y - 0.15)

@@ -38,7 +38,7 @@ def pressure_at(
         near = tree.query_ball_point(inside, reach) if tree else [[]] * len(places)
         for i, indices in enumerate(near):
             if np.any(wet[indices]):
-                away = np.linalg.norm(box.displacement(position[indices] - places[i]), axis=1)
+                away = np.linalg.norm(box.apart(position[indices] - places[i]), axis=1)
                 w = (1.0 - away / reach) ** 2
                 pressure[k, i] = np.sum(w * p[indices]) / max(np.sum(w), np.finfo(float).tiny)
     return pressure
@@ -68,7 +68,7 @@ def wave_height(run: Run, place: float | Sequence[float], width: float = 1.0) ->
     box, heights = box_of(run), np.full(len(run), np.nan)
     for k in range(len(run)):
         fluid = run.position[k][run.fluid[k]]
-        aside = box.displacement(fluid - np.append(at, 0.0))[:, :-1]
+        aside = box.apart(fluid - np.append(at, 0.0))[:, :-1]
         near = np.linalg.norm(aside, axis=1) <= width * run.spacing * (1.0 + 1e-6)
         height = np.sort(fluid[near, -1])
         if len(height):

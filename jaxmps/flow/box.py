@@ -1,6 +1,6 @@
 """The domain: an axis-parallel box, each axis open or periodic."""
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,8 +9,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxmps._vectors import components, joined
 from jaxmps.validation import number
-
-AnyArray: TypeAlias = Array | np.ndarray
 
 
 class Box(eqx.Module):
@@ -58,16 +56,15 @@ class Box(eqx.Module):
         """The length [m] along each axis."""
         return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
-    def displacement(self, r_ij: Float[AnyArray, "*pairs d"]) -> Float[AnyArray, "*pairs d"]:
-        """`r_j − r_i` [m] to the nearest image of j along the periodic axes; of NumPy's arrays one of NumPy's."""
+    def displacement(self, r_ij: Float[Array, "*pairs d"]) -> Float[Array, "*pairs d"]:
+        """`r_j − r_i` [m] to the nearest image of j along the periodic axes."""
         if not any(self.periodic):
             return r_ij
-        nearest = tuple(self.nearest(axis, x) for axis, x in enumerate(components(r_ij)))
-        return np.stack(nearest, axis=-1) if isinstance(r_ij, np.ndarray) else joined(nearest)
+        return joined(tuple(self.nearest(axis, x) for axis, x in enumerate(components(r_ij))))
 
-    def nearest(self, axis: int, x: Float[AnyArray, "*pairs"]) -> Float[AnyArray, "*pairs"]:
+    def nearest(self, axis: int, x: Float[Array, "*pairs"]) -> Float[Array, "*pairs"]:
         """The component of `r_j − r_i` [m] along an axis to the nearest image of j."""
-        return x - self.lengths[axis] * (x / self.lengths[axis]).round() if self.periodic[axis] else x
+        return x - self.lengths[axis] * jnp.round(x / self.lengths[axis]) if self.periodic[axis] else x
 
     def wrap(self, position: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
         """Positions [m] moved back by whole periods along the periodic axes."""
@@ -88,6 +85,12 @@ class Box(eqx.Module):
         turns = np.where(periods > 0.0, periods, 1.0)
         # Of a tiny negative number the remainder is the period itself.
         return np.where(periods > 0.0, places % turns % turns, places), periods
+
+    def apart(self, r_ij: np.ndarray) -> np.ndarray:
+        """`displacement` with NumPy, which compiles nothing for each number of pairs."""
+        periods = np.where(self.periodic, self.lengths, np.inf)
+        turns = np.where(self.periodic, self.lengths, 0.0)
+        return r_ij - turns * np.round(r_ij / periods)
 
     def described(self) -> dict[str, Any]:
         """Its arguments as values for JSON."""

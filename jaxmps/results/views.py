@@ -33,8 +33,8 @@ def at_frame(run: Any, frame: int) -> dict[str, np.ndarray]:
 def box_of(run: Any) -> Box:
     """The box of a run; one without periodic axes if the run is of a version that did not keep it."""
     dim = run.position.shape[-1]
-    told = run.metadata.get("box") or {"lower": [0.0] * dim, "upper": [1.0] * dim}
-    return Box(**{name: tuple(value) if isinstance(value, list) else value for name, value in told.items()})
+    told = run.metadata.get("box") or {"lower": [0.0] * dim, "upper": [1.0] * dim, "periodic": [False] * dim}
+    return Box(*(tuple(told[name]) for name in ("lower", "upper", "periodic")), mirror=told.get("mirror"))
 
 
 def dataset(run: Any) -> Any:
