@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._vectors import components, joined
-from jaxmps.validation import number
+from jaxmps.validation import fixed, number
 
 
 class Box(eqx.Module):
@@ -32,8 +32,8 @@ class Box(eqx.Module):
         periodic: tuple[bool, ...] | None = None,
         mirror: int | None = None,
     ):
-        self.lower = tuple(number("box.lower", x, "m") for x in lower)
-        self.upper = tuple(number("box.upper", x, "m") for x in upper)
+        self.lower = tuple(number("box.lower", fixed("box.lower", x), "m") for x in lower)
+        self.upper = tuple(number("box.upper", fixed("box.upper", x), "m") for x in upper)
         self.periodic = (False,) * len(self.lower) if periodic is None else tuple(periodic)
         self.mirror = mirror
         if not len(self.lower) == len(self.upper) == len(self.periodic) in (2, 3):

@@ -14,7 +14,18 @@ from jaxmps._types import as_array
 from jaxmps.flow.box import Box
 from jaxmps.flow.motion import AbstractMotion, Still
 from jaxmps.flow.particles import Fluid, Kind, Particles
-from jaxmps.validation import positive
+from jaxmps.validation import fixed, positive
+
+
+def _as_plain(parameters: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+    """A description without arrays: what has a value only under a transformation is not told."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Tracer):
+            return "under a transformation"
+        return np.asarray(value).tolist() if isinstance(value, jax.Array) else value
+
+    return tuple((name, plain(value)) for name, value in parameters)
 
 
 class Case(eqx.Module):
@@ -30,11 +41,11 @@ class Case(eqx.Module):
     spacing: float = eqx.field(static=True)
     box: Box
     name: str = eqx.field(static=True, default="custom")
-    parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+    parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=(), converter=_as_plain)
     motion: AbstractMotion = eqx.field(default_factory=Still)
 
     def __check_init__(self):
-        positive("spacing", self.spacing, "m")
+        positive("spacing", fixed("spacing", self.spacing), "m")
         particles, box = self.particles, self.box
         if particles.position.ndim != 2 or particles.position.shape[1] != box.dim:
             raise ValueError(

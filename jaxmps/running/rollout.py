@@ -5,6 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar, overload
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
@@ -34,6 +35,7 @@ def rollout(
     record: None = None,
     segment: int | None = None,
     window: int | None = None,
+    from_case: bool = False,
 ) -> tuple[State, StepInfo]: ...
 @overload
 def rollout(
@@ -47,6 +49,7 @@ def rollout(
     record: Callable[[State], T],
     segment: int | None = None,
     window: int | None = None,
+    from_case: bool = False,
 ) -> tuple[State, StepInfo, T]: ...
 def rollout(
     case: Case,
@@ -59,12 +62,17 @@ def rollout(
     record: Callable[[State], Any] | None = None,
     segment: int | None = None,
     window: int | None = None,
+    from_case: bool = False,
 ) -> Any:
     """The state after a fixed number of steps, and the `StepInfo` of each: pure, for grad, vmap and jit.
 
     `dt` [s], by default the largest that the scheme allows at each step. The key of step k is `fold_in(key, k)`. The
     capacity of the list is that of `start`: look for `Status.TABLE_FULL` in `info.status`. What `record` makes of the
     state after each step comes third, with a leading axis for the steps; outside `jit`, each new function is compiled.
+
+    The flow begins with the particles of `start`, of which those of `case` are then no argument. With `from_case` it
+    begins at t = 0 with the particles of `case`, and `start` lends its list: derivatives by their positions and
+    velocities are those by the leaves of `case`.
 
     Derivatives are those of the discrete steps; nothing is propagated through the neighbor list, the choice of surface
     particles and the pressure that a solve starts from. Reverse mode keeps the state once in each `segment` of steps,
@@ -78,11 +86,20 @@ def rollout(
         if value is not None:
             whole(name, value, least=1)
     check_start(case, scheme, start)
+    start = _at_start(case, start) if from_case else start
     key = jax.random.key(0) if key is None else key
     dt = None if dt is None else jnp.asarray(dt, float)
     segment = _segment(steps) if segment is None else min(segment, steps)
     end, info, recorded = _steps(case.undescribed(), scheme, start, dt, key, steps, record, segment, window)
     return (end, info) if record is None else (end, info, recorded)
+
+
+def _at_start(case: Case, start: State) -> State:
+    """The state at t = 0 of the particles of the case, with the list of another."""
+    zero = jnp.zeros_like(start.time)
+    particles = case.motion.drive(case.particles, case.particles.position, zero)
+    where = lambda s: (s.particles, s.time, s.step, s.loss)  # noqa: E731
+    return eqx.tree_at(where, start, (particles, zero, jnp.zeros_like(start.step), zero))
 
 
 def _segment(steps: int) -> int:
