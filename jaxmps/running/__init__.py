@@ -13,5 +13,5 @@ from jaxmps.running.rescue import ON_BLOWUP as ON_BLOWUP
 from jaxmps.running.restart import resume as resume
 from jaxmps.running.rollout import rollout as rollout
 from jaxmps.running.simulation import simulate as simulate
-from jaxmps.running.simulation import start as start
+from jaxmps.running.starting import start as start
 from jaxmps.running.upkeep import Upkeep as Upkeep

@@ -28,7 +28,7 @@ def resume(path: str | Path, case: Case, scheme: Scheme, *, progress: bool | Non
     """
     path = Path(path)
     if not checkpoint_of(path).exists():
-        run = read(path)
+        run = read(path, lazy=None)
         if run.status.completed:
             return run
         raise ValueError(f"{path} has no checkpoint to resume from: checkpoint_every of simulate makes them")
