@@ -25,6 +25,11 @@ def positive_or_one(x: Array) -> Array:
     return jnp.where(x > 0, x, 1.0)
 
 
+def root(x: Array) -> Array:
+    """√x, zero for x of zero or below, where its derivative is zero, too: a root has none there."""
+    return jnp.where(x > 0, jnp.sqrt(positive_or_one(x)), 0.0)
+
+
 def total(parts: Iterable[Array]) -> Array:
     """The sum of arrays, of which there is at least one."""
     return functools.reduce(operator.add, parts)

@@ -81,7 +81,10 @@ def inspect(
     overflow: Bool[Array, ""],
 ) -> tuple[Particles, StepInfo]:
     """Takes out the particles that left the domain, wraps periodic axes, and finds what is wrong with a step."""
-    squared_travel = jnp.sum((new.position - old.position) ** 2, axis=-1) / case.spacing**2
+    travel = new.position - old.position
+    # Walls are put where their motion has them, however many periods away from the image of before.
+    travel = jnp.where(old.fluid[:, None], travel, case.box.displacement(travel))
+    squared_travel = jnp.sum(travel**2, axis=-1) / case.spacing**2
     squared_speed = jnp.sum(new.velocity**2, axis=-1)
     finite = jnp.isfinite(squared_travel) & jnp.isfinite(squared_speed) & jnp.isfinite(new.pressure)
     outside = finite & (new.kind != Kind.REMOVED) & ~case.box.contains(new.position)

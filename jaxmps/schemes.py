@@ -26,7 +26,7 @@ from jaxmps.models import (
 )
 from jaxmps.operators import CMPS, Corrected, MinPressure
 from jaxmps.scheme import Scheme, TimeStep
-from jaxmps.validation import between
+from jaxmps.validation import between, fixed
 
 
 def mps(
@@ -57,8 +57,8 @@ def mps(
     }
     for argument, value in unit.items():
         between(argument, value, 0.0, 1.0)
-    between("ratio", ratio, 1.5, 6.0, "spacings")
-    between("tolerance", tolerance, 1e-15, 0.1)
+    between("ratio", fixed("ratio", ratio), 1.5, 6.0, "spacings")
+    between("tolerance", fixed("tolerance", tolerance), 1e-15, 0.1)
     return Scheme(
         viscosity=Viscous() if viscous else Inviscid(),
         noise=NoNoise(),
@@ -122,8 +122,8 @@ def mps_hs_gc(
     """
     between("beta", beta, 0.0, 1.0)
     between("courant", courant, 0.0, 1.0)
-    between("ratio", ratio, 1.5, 6.0, "spacings")
-    between("tolerance", tolerance, 1e-15, 0.1)
+    between("ratio", fixed("ratio", ratio), 1.5, 6.0, "spacings")
+    between("tolerance", fixed("tolerance", tolerance), 1e-15, 0.1)
     return Scheme(
         viscosity=Viscous() if viscous else Inviscid(),
         noise=NoNoise(),

@@ -96,7 +96,8 @@ def pressure_equation(case: Case, scheme: Scheme, prediction: Prediction) -> Pre
     coefficient = scheme.laplacian(near, _between_pressures(prediction), scheme.ratio, case.spacing)
     coefficient = scheme.surface_condition.coefficient(coefficient, surface, near)
     operator = poisson_operator(near, coefficient, prediction.density, unknown, case.box.open_axis)
-    preconditioner = scheme.preconditioning(operator, unknown, near, particles.position, case.box, case.spacing)
+    inside = case.box.wrap(particles.position)  # where a motion has its walls may be periods away
+    preconditioner = scheme.preconditioning(operator, unknown, near, inside, case.box, case.spacing)
     return PressureEquation(operator, prediction.source, unknown, particles.pressure, preconditioner)
 
 

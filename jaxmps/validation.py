@@ -21,6 +21,18 @@ def number(name: str, value: Any, unit: str = "") -> Any:
     return float(array)
 
 
+def fixed(name: str, value: Any) -> Any:
+    """`value`, else `ValueError` if it is one under a transformation: what it decides is no array."""
+    if isinstance(value, Tracer):
+        raise ValueError(
+            f"{name} must be a plain number, not one under jax.grad, vmap or jit: it is fixed before anything is "
+            "compiled (a geometry decides how many particles there are), and has no derivative. Derivatives exist by "
+            "gravity, densities, viscosities, the numbers of a motion, the values of a scheme, and by positions and "
+            "velocities of a state or, with from_case=True in rollout, of a case"
+        )
+    return value
+
+
 def whole(name: str, value: Any, *, least: int) -> int:
     """`value` as an int of `least` or more, else `ValueError`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:

@@ -235,6 +235,13 @@ def test_ctrl_c_keeps_everything_so_far(copy, monkeypatch):
     assert run.status.flags == Status.INTERRUPTED
     assert {path.name for path in Path("stopped").iterdir()} == FILES
     assert "interrupted" in json.loads(Path("stopped/summary.json").read_text())["status"]
+    assert "where it has a checkpoint, `jaxmps resume` or mps.resume carries it on; else run it again" in result.err
+    # Where there is one, only that is advised.
+    Path("stopped/run.vtkhdf.checkpoint").touch()
+    err = io.StringIO()
+    with contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()):
+        assert conclude(run, {name: Path("stopped") / name for name in FILES}) == 130
+    assert err.getvalue().endswith("Advice: jaxmps resume stopped carries it on from its checkpoint\n")
 
 
 def test_events_that_do_not_end_a_run_are_warnings(copy):

@@ -213,3 +213,73 @@ def test_single_precision_comes_back_in_single_precision(tmp_path):
     path = mps.io.export(run, tmp_path / "a.csv")
     with jax.enable_x64(False):
         np.testing.assert_array_equal(mps.io.particles_from(path).position, run.position[-1])
+
+
+PARAVIEW = """"pressure","velocity:0","velocity:1","velocity:2","name","Points:0","Points:1","Points:2"
+7.5,1,2,0,"a, wet",0.25,0.5,0
+-1e3,3,4,0,dry,0.75,1.5,0
+"""
+NAMES = {"x": "Points:0", "y": "Points:1", "u": "velocity:0", "v": "velocity:1", "pressure": "pressure"}
+
+
+def assert_two(particles: mps.Particles) -> None:
+    np.testing.assert_array_equal(particles.position, [[0.25, 0.5], [0.75, 1.5]])
+    np.testing.assert_array_equal(particles.velocity, [[1.0, 2.0], [3.0, 4.0]])
+    np.testing.assert_array_equal(particles.pressure, [7.5, -1000.0])
+    np.testing.assert_array_equal(particles.kind, 0)
+
+
+def test_columns_of_a_csv_may_have_other_names_and_what_is_not_named_is_not_read(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(PARAVIEW)
+    assert_two(mps.io.particles_from(path, columns=NAMES))
+    solid = mps.io.particles_from(path, columns=NAMES | {"z": "Points:2", "w": "velocity:2"})
+    np.testing.assert_array_equal(solid.position, [[0.25, 0.5, 0.0], [0.75, 1.5, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal", "text"),
+    [
+        (";", ",", "x;y;u;v;pressure\n0,25;0,5;1;2,0;7,5\n0,75 ; 1,5; 3;4;-1e3\n"),
+        ("\t", ".", "x [m]\ty [m]\tu\tv\tpressure\n0.25\t0.5\t1\t2\t7.5\n0.75\t1.5\t3\t4\t-1000\n"),
+        ("\t", ",", "x\ty\tu\tv\tpressure\n0,25\t0,5\t1\t2\t7,5\n0,75\t1,5\t3\t4\t-1000\n"),
+        (None, ".", "x  y u   v pressure\n 0.25 0.5\t1 2 7.5\n0.75 1.5 3 4  -1e3\n"),
+        (";", ".", '"x";"y";"u";"v";"pressure"\n"0.25";"0.5";1;2;7.5\n0.75;1.5;3;4;-1e3\n'),
+    ],
+)
+def test_separators_and_decimal_commas(tmp_path, separator, decimal, text):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    assert_two(mps.io.particles_from(path, separator=separator, decimal=decimal))
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        ({"columns": {"x": "Points:0"}}, "columns must name x, y and others of kind, phase, x, y"),
+        ({"columns": {"x": "Points:0", "y": "Points:1", "q": "b"}}, "columns must name x, y and others of"),
+        (
+            {"columns": {"x": "Points:0", "y": "Points:3"}},
+            "columns must be Points:0, Points:3, each once, got Points:3 in",
+        ),
+        (
+            {"columns": {"x": "Points:0", "y": "name"}},
+            "line 2: there must be 8 values, with numbers in those that are read",
+        ),
+        ({"separator": ";;"}, "separator must be one character, or None for blanks, got ';;'"),
+        ({"decimal": ","}, "decimal must be . or , and not the separator, got ','"),
+        ({"decimal": "'"}, "decimal must be . or , and not the separator"),
+    ],
+)
+def test_what_is_wrong_with_the_names_of_columns_is_told(tmp_path, given, fault):
+    path = tmp_path / "a.csv"
+    path.write_text(PARAVIEW)
+    with pytest.raises(ValueError, match=re.escape(fault)) as told:
+        mps.io.particles_from(path, **given)
+    assert "\n" not in str(told.value)
+
+
+def test_names_of_columns_are_for_a_csv_only(tmp_path):
+    path = mps.io.export(awkward(), tmp_path / "a.prof")
+    with pytest.raises(ValueError, match=r"columns, separator and decimal must be given for a .csv only, got a.prof"):
+        mps.io.particles_from(path, columns=NAMES)

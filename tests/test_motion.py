@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hasty import by_diagonal, quick
+from scipy.interpolate import PchipInterpolator
 
 import jaxmps as mps
 from jaxmps.flow.motion import AbstractSignal, Bodies, Constant, Rigid, Sine, Table
@@ -54,25 +55,90 @@ def test_the_walls_of_a_rolling_tank_are_where_the_angle_says_with_its_velocity_
         np.testing.assert_allclose(np.asarray(state.particles.velocity)[wall], velocity, atol=1e-12)
 
 
-def test_a_table_of_a_parabola_is_that_parabola_and_rests_outside_its_times():
-    times = np.array([0.0, 0.1, 0.25, 0.3, 0.6])
-    table = Table(times, 3.0 * times**2 - times + 2.0)
-    for t in (0.0, 0.05, 0.2, 0.27, 0.41, 0.59):
-        value, slope = jax.jvp(table, (jnp.asarray(t),), (jnp.ones(()),))
-        assert float(value) == pytest.approx(3.0 * t**2 - t + 2.0, abs=1e-12)
-        assert float(slope) == pytest.approx(6.0 * t - 1.0, abs=1e-12)
-    for t in (-1.0, 2.0):
-        value, slope = jax.jvp(table, (jnp.asarray(t),), (jnp.ones(()),))
-        assert float(value) == pytest.approx(float(table(jnp.clip(t, 0.0, 0.6)))) and float(slope) == 0.0
+UNEVEN = np.array([0.0, 0.1, 0.25, 0.3, 0.6, 1.1, 1.2])
+TABLES = {
+    "rising": [0.0, 0.02, 0.5, 0.6, 2.0, 2.1, 4.0],
+    "a gate that opens and closes": [0.0, 0.0, 0.3, 0.3, 0.3, 0.0, 0.0],
+    "up and down": [1.0, -1.0, 2.0, 2.5, -3.0, -2.9, 0.0],
+    "steep ends": [0.0, 5.0, 4.9, 4.9, 5.0, 5.1, -9.0],
+    "an end whose parabola turns": [0.0, 0.1, 3.0, 3.0, 3.0, 3.1, 9.0],
+    "at rest": [2.0] * 7,
+}
+
+
+@pytest.mark.parametrize("values", [*TABLES.values(), [0.0, 1.0], [0.0, 1.0, 0.5]], ids=[*TABLES, "two", "three"])
+def test_a_table_has_the_values_and_velocities_of_scipys_pchip_and_rests_outside_its_times(values):
+    times, values = UNEVEN[: len(values)], np.array(values)
+    table, last = Table(times, values), times[-1]
+    inside = np.concatenate([np.linspace(0.0, last, 301)[:-1], times[:-1]])
+    at = jax.jit(lambda t: jax.jvp(table, (t,), (jnp.ones(()),)))
+    value, slope = jax.vmap(at)(jnp.array(inside))
+    if len(times) == 2:  # scipy's is the straight line, too
+        np.testing.assert_allclose(value, np.interp(inside, times, values), atol=1e-12)
+    theirs = PchipInterpolator(times, values)
+    np.testing.assert_allclose(value, theirs(inside), atol=1e-12)
+    np.testing.assert_allclose(slope, theirs(inside, 1), atol=1e-10)
+    for t in (-1.0, last, last + 1.0):
+        value, slope = at(jnp.asarray(t))
+        assert float(value) == values[0 if t < 0 else -1] and float(slope) == 0.0
+
+
+def test_a_gate_at_rest_does_not_dive_into_the_floor():
+    gate = Table([0.0, 0.5, 0.6, 1.0], [0.0, 0.0, 0.1, 0.1])
+    z = np.asarray(jax.vmap(gate)(jnp.linspace(-0.1, 1.1, 1201)))
+    assert z.min() == 0.0 and z.max() == pytest.approx(0.1, abs=1e-15)
+    assert np.all(np.diff(z) >= -1e-15)
+
+
+def test_a_linear_table_is_straight_between_its_entries():
+    values = np.array(TABLES["up and down"])
+    table = Table(UNEVEN, values, interpolation="linear")
+    times = np.linspace(-0.2, 1.4, 161) + 1e-4
+    value, slope = jax.vmap(lambda t: jax.jvp(table, (t,), (jnp.ones(()),)))(jnp.array(times))
+    np.testing.assert_allclose(value, np.interp(times, UNEVEN, values), atol=1e-12)
+    piece = np.searchsorted(UNEVEN, times) - 1
+    inside = (piece >= 0) & (piece < 6)
+    rise = np.diff(values) / np.diff(UNEVEN)
+    np.testing.assert_allclose(slope, np.where(inside, rise[np.clip(piece, 0, 5)], 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_have_finite_derivatives_which_are_those_of_central_differences_where_there_are_such(name):
+    times, values = jnp.array(UNEVEN), jnp.array(TABLES[name])
+    at = jnp.array([0.05, 0.17, 0.28, 0.5, 0.9, 1.17])
+
+    def sums(x, t):
+        return jnp.sum(jnp.sin(jnp.arange(6) + 1.0) * jax.vmap(Table(t, x))(at))
+
+    by_value, by_time = jax.jit(jax.grad(sums, (0, 1)))(values, times)
+    assert np.all(np.isfinite(by_value)) and np.all(np.isfinite(by_time))
+    if name in ("rising", "up and down"):  # elsewhere zero rises are where the slope has a kink
+        for k in range(7):
+            shift = jnp.zeros(7).at[k].set(1e-6)
+            difference = (sums(values + shift, times) - sums(values - shift, times)) / 2e-6
+            assert float(by_value[k]) == pytest.approx(float(difference), rel=1e-5, abs=1e-7)
+            difference = (sums(values, times + shift) - sums(values, times - shift)) / 2e-6
+            assert float(by_time[k]) == pytest.approx(float(difference), rel=1e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("times", "values", "message"),
-    [([0.0, 1.0], [0.0, 1.0], "three entries"), ([0.0, 2.0, 1.0], [0.0, 1.0, 2.0], "must increase")],
+    [
+        ([0.0], [0.0], "two entries"),
+        ([0.0, 1.0], [0.0, 1.0, 2.0], "of one length"),
+        ([0.0, 2.0, 1.0], [0.0, 1.0, 2.0], "must increase"),
+        ([0.0, 1.0], [0.0, math.nan], "values of a table must be finite"),
+        ([0.0, math.inf], [0.0, 1.0], "times of a table must be finite"),
+    ],
 )
 def test_a_table_that_is_none_is_refused(times, values, message):
     with pytest.raises(ValueError, match=message):
         Table(times, values)
+
+
+def test_an_interpolation_that_is_not_known_is_refused():
+    with pytest.raises(ValueError, match="interpolation must be one of pchip, linear, got cubic"):
+        Table([0.0, 1.0], [0.0, 1.0], interpolation="cubic")
 
 
 def test_bodies_move_by_themselves():
@@ -239,9 +305,24 @@ def test_a_case_file_moves_its_walls(tmp_path):
     path = tmp_path / "tank.toml"
     path.write_text(text)
     motion = mps.casefile.read(path).case.motion
-    # A quarter of the period: the full angle; of the table the parabola 0.4 t².
+    # A quarter of the period: the full angle; of the table its second value.
     place = np.asarray(motion.place(jnp.array([[0.5, 0.0]]), jnp.asarray(0.5)))[0]
     np.testing.assert_allclose(place, [0.25 + 0.25 * math.cos(0.1), 0.25 * math.sin(0.1) + 0.1], atol=1e-12)
+    assert float(motion.heave(jnp.asarray(0.7))) == pytest.approx(
+        float(PchipInterpolator([0, 0.5, 1], [0, 0.1, 0.4])(0.7))
+    )
+    path.write_text(text.replace("0.4] }", '0.4], interpolation = "linear" }'))
+    heave = mps.casefile.read(path).case.motion.heave
+    assert float(heave(jnp.asarray(0.7))) == pytest.approx(0.1 + 0.4 * 0.3)
+    path.write_text(text.replace("0.4] }", '0.4], interpolation = "cubic" }'))
+    with pytest.raises(ValueError, match="interpolation"):
+        mps.casefile.read(path)
+    path.write_text(text.replace("period = 2.0", 'period = 2.0, interpolation = "linear"'))
+    with pytest.raises(ValueError, match="interpolation with times and values only"):
+        mps.casefile.read(path)
+    path.write_text(text.replace("0.4] }", "0.4], phase = 1.0 }"))
+    with pytest.raises(ValueError, match="phase with amplitude and period only"):
+        mps.casefile.read(path)
     path.write_text(text.replace("amplitude = 0.1, ", ""))
     with pytest.raises(ValueError, match=r"\[motion\]: roll must have amplitude and period, or times and values"):
         mps.casefile.read(path)

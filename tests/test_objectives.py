@@ -1,6 +1,7 @@
 """Quantities with useful derivatives: against closed forms, against the plain ones, and against central differences."""
 
 import dataclasses
+import inspect
 from typing import Any
 
 import equinox as eqx
@@ -8,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hasty import quick
+from hasty import by_diagonal, quick
 
 import jaxmps as mps
 from jaxmps import diagnostics
-from jaxmps.flow import Energy
+from jaxmps.flow import Energy, at_rest
 
 SPACING = 0.05
 
@@ -145,3 +146,73 @@ def test_derivatives_are_central_differences_and_not_zero(patch, name):
     difference = float(loss(position + h * direction) - loss(position - h * direction)) / (2.0 * h)
     assert abs(difference) > 1e-4
     assert slope == pytest.approx(difference, rel=1e-4)
+
+
+def still() -> mps.Case:
+    """A patch without gravity, motion and pressure."""
+    case = mps.cases.square_patch(spacing=0.2)
+    return dataclasses.replace(case, particles=at_rest(case.particles.position, case.particles.kind))
+
+
+TIMES = jnp.linspace(0.0, 1.0, 3)
+AT_REST: dict[str, Any] = {
+    "elevation": lambda case, state, info: diagnostics.elevation(case, state, jnp.array([0.0, 0.1])),
+    "energy_error": lambda case, state, info: diagnostics.energy_error(info),
+    "energy_error to a reference": lambda case, state, info: diagnostics.energy_error(info, info.energy.total),
+    "front_position": lambda case, state, info: diagnostics.front_position(case, state),
+    "mechanical_energy": lambda case, state, info: diagnostics.mechanical_energy(
+        state.particles, case.density, case.gravity
+    ),
+    "observation": lambda case, state, info: diagnostics.observation(case, state, gauges=[0.0]),
+    "pressure_roughness": lambda case, state, info: diagnostics.pressure_roughness(case, state),
+    "smallest_distance": lambda case, state, info: diagnostics.smallest_distance(case, state),
+    "smooth_maximum": lambda case, state, info: diagnostics.smooth_maximum(state.particles.pressure, 1.0),
+    "smooth_maximum of none": lambda case, state, info: diagnostics.smooth_maximum(
+        state.particles.pressure, 1.0, state.particles.kind == mps.Kind.WALL
+    ),
+    "tip_radius": lambda case, state, info: diagnostics.tip_radius(case, state),
+    "tip_radius about a particle": lambda case, state, info: diagnostics.tip_radius(
+        case, state, state.particles.position[0]
+    ),
+    "volume_fraction": lambda case, state, info: diagnostics.volume_fraction(case, state),
+    "wave_height_error": lambda case, state, info: diagnostics.wave_height_error(
+        TIMES, 0.0 * TIMES + state.particles.velocity[0, 1], TIMES, 0.0 * TIMES
+    ),
+    "all that a step tells": lambda case, state, info: info,
+    "the state": lambda case, state, info: state,
+}
+
+
+@pytest.mark.parametrize("name", ["mps", pytest.param("mps_cd_gc_ds", marks=pytest.mark.slow)])
+def test_at_rest_everything_that_can_be_differentiated_has_finite_derivatives(name):
+    case = still()
+    scheme = by_diagonal(mps.schemes.stochastic(getattr(mps.schemes, name)(viscous=True)))
+    start = mps.start(case, scheme)
+
+    @quick
+    @jax.jacrev
+    def derivatives(leaves):
+        case, scheme, start = eqx.combine(leaves, static)
+        state, info = mps.rollout(case, scheme, start, steps=2, dt=1e-3)
+        found = {label: measure(case, state, info) for label, measure in AT_REST.items()}
+        # The sum of all numbers of each: with weights, so that none cancel by symmetry.
+        floats = {label: jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array)) for label, tree in found.items()}
+        return {
+            label: sum(jnp.sum(jnp.cos(jnp.arange(x.size)) * x.ravel()) for x in each) for label, each in floats.items()
+        }
+
+    leaves, static = eqx.partition((case, scheme, start), eqx.is_inexact_array)
+    for label, gradient in derivatives(leaves).items():
+        for path, leaf in jax.tree_util.tree_leaves_with_path(gradient):
+            assert np.all(np.isfinite(leaf)), (label, jax.tree_util.keystr(path))
+
+
+def test_no_objective_is_left_out_of_that():
+    public = inspect.getmembers(diagnostics.objectives, inspect.isfunction)
+    own = {name for name, made in public if made.__module__ == diagnostics.objectives.__name__}
+    assert {label.split()[0] for label in AT_REST} >= own
+    assert "energy_error" in own
+
+
+def test_a_maximum_over_none_is_zero():
+    assert float(diagnostics.smooth_maximum(jnp.array([3.0, 4.0]), 0.1, jnp.zeros(2, bool))) == 0.0

@@ -17,11 +17,11 @@ from jaxmps.diagnostics import observation, volume_fraction
 from jaxmps.io import read_ensemble, write_ensemble
 from jaxmps.io.member_files import MemberFiles
 
-SCHEME = mps.schemes.mps()
+SCHEME = mps.schemes.mps
 
 
 def state(case: mps.Case) -> mps.State:
-    return mps.start(case, SCHEME)
+    return mps.start(case, SCHEME())
 
 
 def test_water_in_a_tank_has_its_length_height_energy_and_is_wet_where_it_is():

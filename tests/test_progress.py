@@ -21,8 +21,12 @@ from jaxmps.running.display import Bar, Told
 from jaxmps.running.progress import Counter, Meter, Tally, counter, meter, tally
 from jaxmps.running.recorder import Recorder
 
+
 # A fixed time step of any size runs the same compiled code, that of the tests of the command line.
-CASE, SCHEME = mps.cases.dam_break(spacing=0.1), mps.schemes.mps()
+def dam() -> tuple[mps.Case, mps.Scheme]:
+    return mps.cases.dam_break(spacing=0.1), mps.schemes.mps()
+
+
 USUAL = display.EVERY  # before the tests are told to tell nothing
 STEPS: dict[str, Any] = {"until": 0.5, "save_every": 0.02, "dt": 0.005}
 LINE = r"t \d\.\d{4} s of 0\.5, \d:\d\d so far, about (\d:\d\d|\?) left, Δt \S+ s, u \S+ m/s(, \S+ s/s)?"
@@ -156,7 +160,7 @@ def interrupted(path: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Recorder, "save", save)
         with contextlib.suppress(KeyboardInterrupt), pytest.warns(mps.SimulationWarning):
-            mps.simulate(CASE, SCHEME, **STEPS, out=path, checkpoint_every=0.01, progress=False)
+            mps.simulate(*dam(), **STEPS, out=path, checkpoint_every=0.01, progress=False)
     return path
 
 
@@ -169,14 +173,14 @@ def test_runs_tell_how_far_they_are_where_there_is_no_terminal(every, tmp_path):
     command = ["run", "dam_break", "--spacing", "0.1", "--until", "0.5", "--dt", "0.005", "--out", str(tmp_path / "a")]
     path = tmp_path / "run.vtkhdf"
     for use in (
-        lambda: mps.simulate(CASE, SCHEME, **STEPS),
+        lambda: mps.simulate(*dam(), **STEPS),
         lambda: main([*command, "--precision", "double"]),
-        lambda: mps.resume(interrupted(path), CASE, SCHEME),
+        lambda: mps.resume(interrupted(path), *dam()),
     ):
         lines = listening(use)
         assert lines and all(re.fullmatch(f"{LINE}|{COMPILING}", line) for line in lines), lines
         assert any(re.fullmatch(LINE, line) for line in lines), lines
-    lines = listening(lambda: mps.ensemble(CASE, SCHEME, keys=2, **STEPS))
+    lines = listening(lambda: mps.ensemble(*dam(), keys=2, **STEPS))
     assert lines and all(re.fullmatch(r"[012] of 2 members, \d:\d\d so far, about \S+ left", line) for line in lines)
 
 
@@ -192,8 +196,8 @@ def test_a_run_that_compiles_says_so_before_its_first_step(every):
 
 
 def test_nothing_is_told_where_it_is_not_wanted_or_over_in_ten_seconds(every, monkeypatch):
-    assert listening(lambda: mps.simulate(CASE, SCHEME, **STEPS, progress=False)) == []
-    assert listening(lambda: mps.ensemble(CASE, SCHEME, keys=2, **STEPS, progress=False)) == []
+    assert listening(lambda: mps.simulate(*dam(), **STEPS, progress=False)) == []
+    assert listening(lambda: mps.ensemble(*dam(), keys=2, **STEPS, progress=False)) == []
 
     def tuning() -> None:
         with tally(5, None) as show:

@@ -182,6 +182,13 @@ def test_bad_calls_are_refused(unchecked):
         tune(lambda s: [s.source.relaxation, s.free_surface.beta])
     with pytest.raises(ValueError, match="where must select float arrays, got 'mps'"):
         tune(lambda s: s.name)
+    flat = lambda tree, key: jnp.zeros(())  # noqa: E731
+    with pytest.raises(ValueError, match=r"derivative is exactly zero at start = 0\.2"):
+        mps.tune(flat, jnp.array(0.2), lambda x: x, optax.sgd(0.1), steps=1, progress=False)
+    with pytest.raises(ValueError, match=r"derivative is exactly zero at \[0\] = 0\.2"):
+        mps.tune(flat, (jnp.array(0.2),), lambda x: x[0], optax.sgd(0.1), steps=1, progress=False)
+    with pytest.raises(ValueError, match=r"start must start strictly between its bounds 0.3 and 1.0, got 0.2"):
+        mps.tune(lambda x, key: x, jnp.array(0.2), lambda x: x, optax.sgd(0.1), steps=1, bounds=[(0.3, 1.0)])
     with pytest.raises(ValueError, match="sigma must be greater than zero, got 0"):
         mps.Evolution(sigma=0.0)
     with pytest.raises(ValueError, match=r"pairs must be a whole number of 1 or more, got 1\.5"):

@@ -156,7 +156,9 @@ def status() -> str:
     from jaxmps.flow import FATAL, MESSAGES
     from jaxmps.flow.status import advice_on
 
-    rows = [f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {advice_on(bit)} |" for bit in MESSAGES]
+    rows = [
+        f"| `{bit.name}` | {MESSAGES[bit]} | {'yes' if bit & FATAL else ''} | {advice_on(bit)} |" for bit in MESSAGES
+    ]
     return "\n".join(["| bit | meaning | ends the run | advice |", "|---|---|---|---|", *rows])
 
 

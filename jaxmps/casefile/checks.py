@@ -100,10 +100,8 @@ def _duration(seconds: float) -> str:
 def _close(setup: Setup) -> list[str]:
     case = setup.case
     position, kind = np.asarray(case.particles.position, float), np.asarray(case.particles.kind)
-    sizes = [length if wraps else 0.0 for length, wraps in zip(case.box.lengths, case.box.periodic, strict=True)]
-    inside = position - np.asarray(case.box.lower)
-    inside = np.where(np.array(sizes) > 0.0, np.mod(inside, np.where(np.array(sizes) > 0.0, sizes, 1.0)), inside)
-    pairs = KDTree(inside, boxsize=sizes).query_pairs(CLOSE * case.spacing * (1.0 - 1e-6), output_type="ndarray")
+    inside, periods = case.box.torus(position)
+    pairs = KDTree(inside, boxsize=periods).query_pairs(CLOSE * case.spacing * (1.0 - 1e-6), output_type="ndarray")
     fluid = kind[pairs] == Kind.FLUID
     found = []
     for what, chosen in (("one another", fluid.all(axis=1)), ("a wall", fluid.sum(axis=1) == 1)):
@@ -120,7 +118,9 @@ def _behind(setup: Setup) -> list[str]:
     fluid, fixed = position[kind == Kind.FLUID], np.flatnonzero(kind != Kind.FLUID)
     if not len(fixed):
         return []
-    away, nearest = KDTree(position[fixed]).query(fluid)
+    box = setup.case.box
+    tree = KDTree(box.torus(position[fixed])[0], boxsize=box.torus(position)[1])
+    away, nearest = tree.query(box.torus(fluid)[0])
     back = (away < 1.2 * setup.case.spacing) & (kind[fixed[nearest]] == Kind.DUMMY)
     if not back.any():
         return []

@@ -29,13 +29,16 @@ class FluidTable(Table):
 
 
 class SignalTable(Table):
-    """A sine by `amplitude`, `period` [s] and `phase` [rad], or `values` at `times` [s]; in m, of an angle in rad."""
+    """A sine by `amplitude`, `period` [s] and `phase` [rad], or `values` at `times` [s] with an `interpolation` in
+    between; in m, of an angle in rad.
+    """
 
     amplitude: float | None = None
     period: Length | None = None
-    phase: float = 0.0
-    times: Annotated[list[float], Field(min_length=3)] | None = None
-    values: Annotated[list[float], Field(min_length=3)] | None = None
+    phase: float | None = None
+    times: Annotated[list[float], Field(min_length=2)] | None = None
+    values: Annotated[list[float], Field(min_length=2)] | None = None
+    interpolation: Literal["pchip", "linear"] | None = None
 
     @model_validator(mode="after")
     def _one_signal(self):
@@ -43,6 +46,10 @@ class SignalTable(Table):
         table = (self.times is not None, self.values is not None)
         if sorted([sine, table]) != [(False, False), (True, True)]:
             raise ValueError("must have amplitude and period, or times and values")
+        if self.interpolation is not None and self.times is None:
+            raise ValueError("must have interpolation with times and values only")
+        if self.phase is not None and self.times is not None:
+            raise ValueError("must have phase with amplitude and period only")
         return self
 
 

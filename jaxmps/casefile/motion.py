@@ -17,5 +17,5 @@ def motion(table: MotionTable | None, dim: int) -> AbstractMotion:
 
 def _signal(table: SignalTable) -> AbstractSignal:
     if table.amplitude is None or table.period is None:
-        return Table(table.times, table.values)
-    return Sine(table.amplitude, 2.0 * math.pi / table.period, table.phase)
+        return Table(table.times, table.values, table.interpolation or "pchip")
+    return Sine(table.amplitude, 2.0 * math.pi / table.period, table.phase or 0.0)

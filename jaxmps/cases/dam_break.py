@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.flow import Case
-from jaxmps.validation import at_most, positive
+from jaxmps.validation import at_most, fixed, positive
 
 
 def dam_break(
@@ -66,7 +66,7 @@ def dam_break_3d(
     lengths = _check_lengths(
         spacing=spacing, width=width, height=height, tank_length=tank_length, tank_height=tank_height
     )
-    at_most("spacing", spacing, "depth", positive("depth", depth, "m"), "m")
+    at_most("spacing", spacing, "depth", positive("depth", fixed("depth", depth), "m"), "m")
     parameters: dict[str, Any] = dict(
         lengths, depth=depth, gravity=gravity, density=density, viscosity=viscosity, ratio=ratio
     )
@@ -87,7 +87,7 @@ def dam_break_3d(
 
 def _check_lengths(**lengths: float) -> dict[str, float]:
     for name, value in lengths.items():
-        positive(name, value, "m")
+        positive(name, fixed(name, value), "m")
     at_most("spacing", lengths["spacing"], "width", lengths["width"], "m")
     at_most("spacing", lengths["spacing"], "height", lengths["height"], "m")
     at_most("width", lengths["width"], "tank_length", lengths["tank_length"], "m")

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from jaxmps._types import ArrayLike
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.flow import Case
-from jaxmps.validation import at_most, not_negative, positive
+from jaxmps.validation import at_most, fixed, not_negative, positive
 
 
 def hydrostatic(
@@ -28,10 +28,10 @@ def hydrostatic(
     """
     sides = {"length": length, "height": height}
     sides = sides if depth is None else {"length": length, "depth": depth, "height": height}
-    positive("spacing", spacing, "m")
+    positive("spacing", fixed("spacing", spacing), "m")
     for name, value in sides.items():
-        at_most("spacing", spacing, name, positive(name, value, "m"), "m")
-    not_negative("freeboard", freeboard, "m")
+        at_most("spacing", spacing, name, positive(name, fixed(name, value), "m"), "m")
+    not_negative("freeboard", fixed("freeboard", freeboard), "m")
     block = tuple(cells(value, spacing) for value in sides.values())
     return tank_case(
         name="hydrostatic",

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from jaxmps.flow import Box, Case, Fluid, Kind, at_rest
-from jaxmps.validation import between, not_negative, positive
+from jaxmps.validation import between, fixed, not_negative, positive
 
 WATER = {"density": 1000.0, "viscosity": 1e-6}
 """kg/m³ and m²/s."""
@@ -104,7 +104,7 @@ def tank_case(
     of the axis `mirror` a mirror takes the place of the wall.
     """
     not_negative("gravity", gravity, "m/s^2")
-    positive("ratio", ratio, "spacings")
+    positive("ratio", fixed("ratio", ratio), "spacings")
     dim = len(block)
     periodic = periodic or (False,) * dim
     layers = dummy_layers(ratio)

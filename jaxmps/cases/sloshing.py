@@ -11,7 +11,7 @@ from jaxmps._types import ArrayLike
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.flow import Box, Case
 from jaxmps.flow.motion import Rigid, Sine
-from jaxmps.validation import at_most, between, number, one_of, positive
+from jaxmps.validation import at_most, between, fixed, number, one_of, positive
 
 
 def sloshing(
@@ -43,13 +43,15 @@ def sloshing(
     """
     lengths = {"spacing": spacing, "length": length, "height": height, "depth": depth}
     for name, value in lengths.items():
-        positive(name, value, "m")
+        positive(name, fixed(name, value), "m")
     at_most("spacing", spacing, "length", length, "m")
     at_most("spacing", spacing, "depth", depth, "m")
     at_most("depth", depth, "height", height, "m")
+    # The box has room for the motion.
+    fixed("amplitude", amplitude)
     rolls = one_of("kind", kind, ("roll", "sway")) == "roll"
     swing = between("amplitude", amplitude, -45.0, 45.0, "degrees") if rolls else number("amplitude", amplitude, "m")
-    slope = math.tan(math.radians(between("tilt", tilt, -45.0, 45.0, "degrees")))
+    slope = math.tan(math.radians(between("tilt", fixed("tilt", tilt), -45.0, 45.0, "degrees")))
     columns, rows, top = (cells(value, spacing) for value in (length, depth, height))
     middle = 0.5 * columns * spacing
     rise = abs(slope) * middle
@@ -85,7 +87,7 @@ def sloshing(
     signal = Sine(
         math.radians(swing) if rolls else swing,
         2.0 * math.pi / positive("period", period, "s"),
-        math.radians(number("phase", phase, "degrees")),
+        number("phase", phase, "degrees") * (math.pi / 180.0),
     )
     motion = Rigid([middle, 0.0], **{kind: signal})
     return _moving(still, motion, swing, rolls)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxmps._types import ArrayLike
 from jaxmps.cases.lattice import WATER, cells, lattice_points, materials
 from jaxmps.flow import Box, Case, Kind, at_rest
-from jaxmps.validation import at_most, between, not_zero, positive
+from jaxmps.validation import at_most, between, fixed, not_zero, positive
 
 
 def square_patch(
@@ -37,12 +37,12 @@ def square_patch(
     (L/√2) √(1 + ω²t²) from the center, come that far at the earliest at ωt = √(2 reach² − 1). There are no walls, so
     that nothing depends on `ratio`, r_e / l0 of the scheme to be used.
     """
-    positive("spacing", spacing, "m")
-    at_most("spacing", spacing, "side", positive("side", side, "m"), "m")
+    positive("spacing", fixed("spacing", spacing), "m")
+    at_most("spacing", spacing, "side", positive("side", fixed("side", side), "m"), "m")
     not_zero("angular_velocity", angular_velocity, "rad/s")
     fluids = materials({"density": density}, {"viscosity": viscosity})
-    between("reach", reach, 1.0, 10.0, "sides")
-    positive("ratio", ratio, "spacings")
+    between("reach", fixed("reach", reach), 1.0, 10.0, "sides")
+    positive("ratio", fixed("ratio", ratio), "spacings")
     parameters: dict[str, Any] = {
         "spacing": spacing,
         "side": side,

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.flow import Case
-from jaxmps.validation import at_most, between, one_of, positive
+from jaxmps.validation import at_most, between, fixed, one_of, positive
 
 _FIRST = (0.5, 0.45)  # place of the first particle [spacings]
 
@@ -37,10 +37,10 @@ def standing_wave(
     """
     lengths = {"spacing": spacing, "length": length, "depth": depth}
     for name, value in lengths.items():
-        positive(name, value, "m")
+        positive(name, fixed(name, value), "m")
     at_most("spacing", spacing, "length", length, "m")
     at_most("spacing", spacing, "depth", depth, "m")
-    between("amplitude", amplitude, 0.0, depth, "m")
+    between("amplitude", fixed("amplitude", amplitude), 0.0, depth, "m")
     parameters: dict[str, Any] = {
         **lengths,
         "amplitude": amplitude,

@@ -9,7 +9,7 @@ from jaxmps._types import ArrayLike
 from jaxmps.cases.hydrostatic import hydrostatic_pressure
 from jaxmps.cases.lattice import WATER, cells, materials, tank_case
 from jaxmps.flow import Case
-from jaxmps.validation import at_most, not_negative, positive
+from jaxmps.validation import at_most, fixed, not_negative, positive
 
 _TANK = {"length": 0.25, "height": 0.2, "depth": 0.175}
 _RADIUS = 0.0125
@@ -70,7 +70,7 @@ def surfacing(
 
 
 def _grains(name: str, arguments: dict[str, float]) -> Case:
-    spacing = positive("spacing", arguments["spacing"], "m")
+    spacing = positive("spacing", fixed("spacing", arguments["spacing"]), "m")
     at_most("spacing", spacing, "the radius of a group", _RADIUS, "m")
     length = cells(_TANK["length"], spacing)
     return tank_case(
@@ -137,10 +137,10 @@ def two_layer(
     r_e / l0 of the scheme to be used.
     """
     lengths = {"length": length, "lower_height": lower_height, "upper_height": upper_height}
-    positive("spacing", spacing, "m")
+    positive("spacing", fixed("spacing", spacing), "m")
     for name, value in lengths.items():
-        at_most("spacing", spacing, name, positive(name, value, "m"), "m")
-    not_negative("freeboard", freeboard, "m")
+        at_most("spacing", spacing, name, positive(name, fixed(name, value), "m"), "m")
+    not_negative("freeboard", fixed("freeboard", freeboard), "m")
     density = {"lower_density": lower_density, "upper_density": upper_density}
     viscosity = {"lower_viscosity": lower_viscosity, "upper_viscosity": upper_viscosity}
     parameters: dict[str, Any] = {

@@ -36,7 +36,7 @@ def open_run(file: Path) -> tuple[Path, "Run"]:
 
     path = file / "run.vtkhdf" if file.is_dir() else file
     try:
-        result = read(path)
+        result = read(path, lazy=None)
     except FileNotFoundError as error:
         raise ValueError(f"file must exist, got {path}") from error
     if not len(result):

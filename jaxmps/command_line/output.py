@@ -6,6 +6,7 @@ import io
 import json
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -84,6 +85,7 @@ def _write_columns(path: Path, columns: "Mapping[str, np.ndarray]") -> None:
 def _verdict(result: "Run", kept: str) -> int:
     """One line for what ended the run, or else one for each thing that its user should know."""
     from jaxmps.flow import FATAL, Outcome, Status
+    from jaxmps.io import checkpoint_of
 
     events, ends = result.status.events, FATAL | Status.INTERRUPTED
     if result.status.completed:
@@ -91,7 +93,10 @@ def _verdict(result: "Run", kept: str) -> int:
             say("warning", f"{event}. Advice: {event.advice}")
         return 0
     cause = Outcome(tuple(event for event in events if event.status & ends))
-    return fail(f"{cause}; {kept}. Advice: {cause.advice}", FAILED if cause.flags & FATAL else INTERRUPTED)
+    failed, advice = bool(cause.flags & FATAL), cause.advice
+    if not failed and result.path is not None and checkpoint_of(result.path).exists():
+        advice = f"jaxmps resume {shlex.quote(str(result.path.parent))} carries it on from its checkpoint"
+    return fail(f"{cause}; {kept}. Advice: {advice}", FAILED if failed else INTERRUPTED)
 
 
 def tell(result: "Run") -> None:

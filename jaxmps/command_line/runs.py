@@ -86,7 +86,7 @@ def _without_checkpoint(folder: Path, paths: dict[str, Path]) -> int:
     from jaxmps.io import read
 
     try:
-        result = read(paths["run.vtkhdf"])
+        result = read(paths["run.vtkhdf"], lazy=None)
     except (FileNotFoundError, ValueError):
         result = None
     if result is None or not result.status.completed:

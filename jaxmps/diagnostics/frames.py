@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxmps.flow.motion import AbstractMotion, Rigid, Still
-from jaxmps.results import Run
+from jaxmps.results import Run, box_of
 
 
 def relative(run: Run, motion: AbstractMotion) -> Run:
@@ -31,4 +31,6 @@ def relative(run: Run, motion: AbstractMotion) -> Run:
     dtype = jnp.result_type(float)
     arrays = (jnp.asarray(x, dtype) for x in (run.position, run.velocity, run.time))
     position, velocity = jax.jit(jax.vmap(at_rest))(*arrays)
-    return dataclasses.replace(run, position=np.asarray(position), velocity=np.asarray(velocity))
+    # Along periodic axes walls are where they were at t = 0, and not at an image of theirs.
+    position = np.asarray(box_of(run).wrap(position))
+    return dataclasses.replace(run, position=position, velocity=np.asarray(velocity))

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxmps._types import ArrayLike, Scalar, positive_or_one
+from jaxmps._types import ArrayLike, Scalar, positive_or_one, root
 from jaxmps.flow import Case
 from jaxmps.monitor import StepInfo
 from jaxmps.neighbors import pairs, update
@@ -18,11 +18,13 @@ from jaxmps.stepping import State
 
 def smooth_maximum(values: Float[Array, " n"], width: ArrayLike, where: Array | None = None) -> Scalar:
     """Σ v_i e^{v_i/w} / Σ e^{v_i/w}: the mean of the largest values, where `width` w tells what counts as close to the
-    largest. It is below the maximum, and tends to it with w → 0. `where` picks the values that count.
+    largest. It is below the maximum, and tends to it with w → 0. `where` picks the values that count; zero if none do.
     """
-    scaled = values / width
-    weight = jax.nn.softmax(scaled if where is None else jnp.where(where, scaled, -jnp.inf))
-    return jnp.sum(jnp.where(weight > 0, weight * values, 0.0))
+    counts = jnp.ones(values.shape, bool) if where is None else where
+    counts = counts | ~jnp.any(counts)
+    weight = jax.nn.softmax(jnp.where(counts, values / width, -jnp.inf))
+    found = jnp.sum(jnp.where(weight > 0, weight * values, 0.0))
+    return found if where is None else jnp.where(jnp.any(where), found, 0.0)
 
 
 def energy_error(info: StepInfo, reference: ArrayLike | None = None) -> Scalar:
@@ -34,7 +36,7 @@ def energy_error(info: StepInfo, reference: ArrayLike | None = None) -> Scalar:
     total = info.energy.total
     expected = jax.lax.stop_gradient(total[0]) if reference is None else jnp.asarray(reference)
     scale = jax.lax.stop_gradient(jnp.mean(info.energy.kinetic))
-    return jnp.sqrt(jnp.mean((total - expected) ** 2)) / positive_or_one(scale)
+    return root(jnp.mean((total - expected) ** 2)) / positive_or_one(scale)
 
 
 def elevation(case: Case, state: State, x: ArrayLike, width: float = 3.0) -> Float[Array, "*places"]:
@@ -66,7 +68,7 @@ def wave_height_error(
     inside = (at >= time[0]) & (at <= time[-1])
     found = jnp.interp(at, time, height)
     squared = jnp.sum(jnp.where(inside, (found - expected) ** 2, 0.0))
-    return jnp.sqrt(squared / positive_or_one(jnp.sum(jnp.where(inside, expected**2, 0.0))))
+    return root(squared / positive_or_one(jnp.sum(jnp.where(inside, expected**2, 0.0))))
 
 
 def tip_radius(case: Case, state: State, center: ArrayLike | None = None, width: float = 0.25) -> Scalar:
@@ -77,9 +79,8 @@ def tip_radius(case: Case, state: State, center: ArrayLike | None = None, width:
     if center is None:
         mass = jnp.where(fluid, case.density, 0.0)
         center = mass @ particles.position / positive_or_one(jnp.sum(mass))
-    squared = jnp.sum((particles.position - jnp.asarray(center)) ** 2, axis=-1)
-    radius = jnp.where(squared > 0, jnp.sqrt(positive_or_one(squared)), 0.0)
-    return smooth_maximum(radius, width * case.spacing, fluid)
+    squared = jnp.sum(case.box.displacement(particles.position - jnp.asarray(center)) ** 2, axis=-1)
+    return smooth_maximum(root(squared), width * case.spacing, fluid)
 
 
 def front_position(case: Case, state: State, width: float = 0.25) -> Scalar:
@@ -118,5 +119,4 @@ def pressure_roughness(case: Case, state: State) -> Scalar:
     inside = particles.fluid & ~state.surface & (total > 0)
     noise = jnp.sum(jnp.where(inside, (particles.pressure - mean) ** 2, 0.0))
     whole = jnp.sum(jnp.where(inside, particles.pressure**2, 0.0))
-    ratio = noise / positive_or_one(whole)
-    return jnp.where(ratio > 0, jnp.sqrt(positive_or_one(ratio)), 0.0)
+    return root(noise / positive_or_one(whole))

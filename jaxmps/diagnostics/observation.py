@@ -32,7 +32,7 @@ def observation(case: Case, state: State, *, gauges: Sequence[float] = (), cell:
     near = pairs(update(state.neighbors, particles.position), particles, case.spacing)
     beside = near.at_j(particles.fluid) & near.present & (near.distance <= _COMPANY * case.spacing)
     water = particles.fluid & jnp.any(beside, axis=-1)
-    up = -case.gravity / positive_or_one(jnp.sqrt(jnp.sum(case.gravity**2)))
+    up = -case.gravity / jnp.sqrt(positive_or_one(jnp.sum(case.gravity**2)))
     found = {
         "kinetic": energy.kinetic,
         "potential": energy.potential,

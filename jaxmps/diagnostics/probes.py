@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from jaxmps.diagnostics.surface import surge_front
 from jaxmps.flow import Kind
-from jaxmps.results import Run
+from jaxmps.results import Run, box_of
 from jaxmps.validation import positive
 
 _RADIUS = 2.1  # [spacings] of the mean of a pressure
@@ -28,14 +28,18 @@ def pressure_at(
     if places.shape[-1] != run.position.shape[-1]:
         raise ValueError(f"points must have {run.position.shape[-1]} components, got {places.shape[-1]}")
     reach = _RADIUS * run.spacing if radius is None else positive("radius", radius, "m")
+    box = box_of(run)
+    inside, periods = box.torus(places)
     pressure = np.zeros((len(run), len(places)))
     for k in range(len(run)):
         counts = np.isin(run.kind[k], (Kind.FLUID, Kind.WALL)) & np.isfinite(run.position[k]).all(axis=1)
         position, p, wet = run.position[k][counts], run.pressure[k][counts], run.fluid[k][counts]
-        near = KDTree(position).query_ball_point(places, reach) if len(position) else [[]] * len(places)
+        tree = KDTree(box.torus(position)[0], boxsize=periods) if len(position) else None
+        near = tree.query_ball_point(inside, reach) if tree else [[]] * len(places)
         for i, indices in enumerate(near):
             if np.any(wet[indices]):
-                w = (1.0 - np.linalg.norm(position[indices] - places[i], axis=1) / reach) ** 2
+                away = np.linalg.norm(box.apart(position[indices] - places[i]), axis=1)
+                w = (1.0 - away / reach) ** 2
                 pressure[k, i] = np.sum(w * p[indices]) / max(np.sum(w), np.finfo(float).tiny)
     return pressure
 
@@ -61,10 +65,11 @@ def wave_height(run: Run, place: float | Sequence[float], width: float = 1.0) ->
     at = np.atleast_1d(np.asarray(place, float))
     if len(at) != run.position.shape[-1] - 1:
         raise ValueError(f"place must have {run.position.shape[-1] - 1} components, got {len(at)}")
-    heights = np.full(len(run), np.nan)
+    box, heights = box_of(run), np.full(len(run), np.nan)
     for k in range(len(run)):
         fluid = run.position[k][run.fluid[k]]
-        near = np.linalg.norm(fluid[:, :-1] - at, axis=1) <= width * run.spacing * (1.0 + 1e-6)
+        aside = box.apart(fluid - np.append(at, 0.0))[:, :-1]
+        near = np.linalg.norm(aside, axis=1) <= width * run.spacing * (1.0 + 1e-6)
         height = np.sort(fluid[near, -1])
         if len(height):
             gaps = np.flatnonzero(np.diff(height) > 1.5 * run.spacing)

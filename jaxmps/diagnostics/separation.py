@@ -4,18 +4,20 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from jaxmps.results import Run
+from jaxmps.results import Run, box_of
 
 
 def nearest(run: Run) -> Float[np.ndarray, "m n"]:
     """Distance [spacings] of each fluid particle to its nearest particle of any kind, in each frame; else infinite.
 
-    Periodic images are left out.
+    Periodic images count, if the run says of its box that it is periodic.
     """
+    box = box_of(run)
     found = np.full(run.kind.shape, np.inf)
     for k, (position, fluid) in enumerate(zip(run.position, run.fluid, strict=True)):
         if fluid.any():
-            found[k, fluid] = KDTree(position).query(position[fluid], k=2)[0][:, 1] / run.spacing
+            places, periods = box.torus(position)
+            found[k, fluid] = KDTree(places, boxsize=periods).query(places[fluid], k=2)[0][:, 1] / run.spacing
     return found
 
 

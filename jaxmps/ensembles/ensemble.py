@@ -22,7 +22,7 @@ from jaxmps.ensembles.members import Member, members
 from jaxmps.flow import Case
 from jaxmps.io.member_files import MemberFiles
 from jaxmps.results import Ensemble
-from jaxmps.running import Log, counter, fields, frame_times
+from jaxmps.running import Log, check_precision, counter, fields, frame_times
 from jaxmps.scheme import Scheme
 from jaxmps.stepping import State
 from jaxmps.validation import positive, whole
@@ -63,12 +63,15 @@ def ensemble(
     already are not run again: the same call carries on after any interruption, and more keys make a larger ensemble.
     Under `jax.distributed` each process runs the members whose number modulo the number of processes is its own, and
     returns these; `gather` reads all from the folder. With `overwrite` the members there are removed first. Raises
-    `ValueError` for members of several kinds, and for a folder of another ensemble.
+    `ValueError` for members of several kinds, for what was made in another precision than JAX is set to now, and for a
+    folder of another ensemble.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     every = members(case, scheme, _keys(keys))
+    for member in every[:1] if isinstance(case, Case) and isinstance(scheme, Scheme) else every:
+        check_precision(case=member.case, scheme=member.scheme)
     metadata = _metadata(every[0], {"until": until, "save_every": save_every, "dt": dt})
     kept = None if out is None else MemberFiles(out, _fingerprint(every, metadata, keep_frames), overwrite)
     mine = every[jax.process_index() :: jax.process_count()]
@@ -145,7 +148,7 @@ def _metadata(first: Member, run: dict[str, Any]) -> dict[str, Any]:
         "case": {"name": case.name, **dict(case.parameters)},
         "scheme": {"name": scheme.name, **describe(scheme)},
         "run": {**run, "precision": str(case.particles.position.dtype)},
-        "box": {"lower": list(case.box.lower), "upper": list(case.box.upper)},
+        "box": case.box.described(),
         "versions": versions(),
     }
 

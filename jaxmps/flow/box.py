@@ -1,11 +1,14 @@
 """The domain: an axis-parallel box, each axis open or periodic."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxmps._vectors import components, joined
-from jaxmps.validation import number
+from jaxmps.validation import fixed, number
 
 
 class Box(eqx.Module):
@@ -29,8 +32,8 @@ class Box(eqx.Module):
         periodic: tuple[bool, ...] | None = None,
         mirror: int | None = None,
     ):
-        self.lower = tuple(number("box.lower", x, "m") for x in lower)
-        self.upper = tuple(number("box.upper", x, "m") for x in upper)
+        self.lower = tuple(number("box.lower", fixed("box.lower", x), "m") for x in lower)
+        self.upper = tuple(number("box.upper", fixed("box.upper", x), "m") for x in upper)
         self.periodic = (False,) * len(self.lower) if periodic is None else tuple(periodic)
         self.mirror = mirror
         if not len(self.lower) == len(self.upper) == len(self.periodic) in (2, 3):
@@ -77,6 +80,31 @@ class Box(eqx.Module):
         # Just below the lower end, round-off would give the upper one.
         inside = jnp.where(inside >= jnp.array(self.upper, position.dtype), lower, inside)
         return jnp.where(jnp.array(self.periodic), inside, position)
+
+    def torus(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places from the lower corner on [m], and the periods [m], 0 along open axes: what scipy's `KDTree` takes as
+        its `boxsize`.
+        """
+        periods = np.where(self.periodic, self.lengths, 0.0)
+        places = np.asarray(position, float) - np.array(self.lower)
+        turns = np.where(periods > 0.0, periods, 1.0)
+        # Of a tiny negative number the remainder is the period itself.
+        return np.where(periods > 0.0, places % turns % turns, places), periods
+
+    def apart(self, r_ij: np.ndarray) -> np.ndarray:
+        """`displacement` with NumPy, which compiles nothing for each number of pairs."""
+        periods = np.where(self.periodic, self.lengths, np.inf)
+        turns = np.where(self.periodic, self.lengths, 0.0)
+        return r_ij - turns * np.round(r_ij / periods)
+
+    def described(self) -> dict[str, Any]:
+        """Its arguments as values for JSON."""
+        return {
+            "lower": list(self.lower),
+            "upper": list(self.upper),
+            "periodic": list(self.periodic),
+            "mirror": self.mirror,
+        }
 
     def reflect(
         self, position: Float[Array, "n d"], velocity: Float[Array, "n d"]

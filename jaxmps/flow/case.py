@@ -14,7 +14,18 @@ from jaxmps._types import as_array
 from jaxmps.flow.box import Box
 from jaxmps.flow.motion import AbstractMotion, Still
 from jaxmps.flow.particles import Fluid, Kind, Particles
-from jaxmps.validation import positive
+from jaxmps.validation import fixed, positive
+
+
+def _as_plain(parameters: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+    """A description without arrays: what has a value only under a transformation is not told."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Tracer):
+            return "under a transformation"
+        return np.asarray(value).tolist() if isinstance(value, jax.Array) else value
+
+    return tuple((name, plain(value)) for name, value in parameters)
 
 
 class Case(eqx.Module):
@@ -30,11 +41,11 @@ class Case(eqx.Module):
     spacing: float = eqx.field(static=True)
     box: Box
     name: str = eqx.field(static=True, default="custom")
-    parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+    parameters: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=(), converter=_as_plain)
     motion: AbstractMotion = eqx.field(default_factory=Still)
 
     def __check_init__(self):
-        positive("spacing", self.spacing, "m")
+        positive("spacing", fixed("spacing", self.spacing), "m")
         particles, box = self.particles, self.box
         if particles.position.ndim != 2 or particles.position.shape[1] != box.dim:
             raise ValueError(
@@ -87,23 +98,55 @@ class Case(eqx.Module):
         return viscosity if len(viscosity) == 1 else viscosity[self.particles.phase]
 
 
+_KINDS = ", ".join(f"{kind} ({kind.name.lower()})" for kind in Kind)
+
+
 def _check_values(case: Case) -> None:
-    particles = case.particles
+    particles, fluids = case.particles, case.fluids
     count, dim = particles.position.shape
-    shapes = {"velocity": (count, dim), "pressure": (count,), "kind": (count,), "phase": (count,)}
+    if not count:
+        raise ValueError("particles must be one at least, got none")
+    shapes = {
+        "position": (count, dim),
+        "velocity": (count, dim),
+        "pressure": (count,),
+        "kind": (count,),
+        "phase": (count,),
+    }
     for name, shape in shapes.items():
-        if getattr(particles, name).shape != shape:
-            raise ValueError(f"particles.{name} must have the shape {shape}, got {getattr(particles, name).shape}")
-    leaves = (particles.position, particles.phase, particles.kind, case.fluids.density)
-    if any(isinstance(leaf, Tracer) for leaf in leaves):
-        return  # under a transformation there are no values to check
-    position, phase, kind, density = (np.asarray(leaf) for leaf in leaves)
-    if not np.all(density > 0):
-        raise ValueError(f"fluids.density must be greater than zero, got {density} kg/m^3")
-    if phase.size and not (phase.min() >= 0 and phase.max() < density.size):
-        raise ValueError(
-            f"particles.phase must be between 0 and {density.size - 1}, got {phase.min()} to {phase.max()}"
-        )
+        given, whole = getattr(particles, name), name in ("kind", "phase")
+        if given.shape != shape:
+            raise ValueError(f"particles.{name} must have the shape {shape}, got {given.shape}")
+        if not jnp.issubdtype(given.dtype, jnp.integer if whole else jnp.floating):
+            raise ValueError(
+                f"particles.{name} must be {'whole' if whole else 'floating-point'} numbers, got {given.dtype}"
+            )
+    rules = {
+        "fluids.density": (fluids.density, lambda x: x > 0, "greater than zero", "kg/m^3"),
+        "fluids.viscosity": (fluids.viscosity, lambda x: x >= 0, "zero or greater", "m^2/s"),
+        "gravity": (case.gravity, np.isfinite, "finite", "m/s^2"),
+        "particles.velocity": (particles.velocity, np.isfinite, "finite", "m/s"),
+        "particles.pressure": (particles.pressure, np.isfinite, "finite", "Pa"),
+        "particles.kind": (particles.kind, lambda x: np.isin(x, list(Kind)), f"one of {_KINDS}", ""),
+        "particles.phase": (
+            particles.phase,
+            lambda x: (x >= 0) & (x < fluids.density.size),
+            f"between 0 and {fluids.density.size - 1}",
+            "",
+        ),
+    }
+    for name, (leaf, rule, words, unit) in rules.items():
+        if isinstance(leaf, Tracer):
+            continue  # under a transformation there are no values to check
+        values = np.asarray(leaf)
+        wrong = np.argwhere(~(rule(values) & np.isfinite(values)))
+        if len(wrong):
+            first, *_ = wrong.tolist()
+            place = f" for particle {first[0]}" if name.startswith("particles") else f" in entry {first[0]}"
+            raise ValueError(f"{name} must be {words}, got {values[tuple(first)]:g} {unit}".rstrip() + place)
+    if isinstance(particles.position, Tracer) or isinstance(particles.kind, Tracer):
+        return
+    position, kind = np.asarray(particles.position), np.asarray(particles.kind)
     inside = np.asarray(case.box.contains(particles.position))
     outside = np.flatnonzero(~inside & (kind != Kind.REMOVED))
     if outside.size:

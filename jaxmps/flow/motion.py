@@ -10,6 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from jaxmps._types import Scalar, as_array
 from jaxmps.flow.particles import Kind, Particles
+from jaxmps.validation import one_of
+
+INTERPOLATIONS = ("pchip", "linear")
+"""What `Table` knows."""
 
 
 class AbstractSignal(eqx.Module):
@@ -43,36 +47,68 @@ class Sine(AbstractSignal):
 
 
 class Table(AbstractSignal):
-    """Values [m or rad] at increasing times [s], three at least, and between them the cubic with the slopes that
-    parabolas through neighboring points have at these: continuous in velocity, exact for a parabola. Before the first
-    time and after the last, it stays where it is there.
+    """Values [m or rad] at increasing times [s], two at least, and in between what `interpolation` says.
+
+    With "pchip" these are cubics with the slopes of `pchip_slopes`: continuous in velocity, monotone wherever the
+    values are, so that nothing overshoots and what rests in the table rests. With "linear" they are straight lines:
+    each entry is an impulse. Before the first time and after the last, it stays where it is there.
     """
 
     times: Float[Array, " k"] = eqx.field(converter=as_array)
     values: Float[Array, " k"] = eqx.field(converter=as_array)
+    interpolation: str = eqx.field(static=True, default="pchip")
 
     def __check_init__(self):
-        if self.times.ndim != 1 or self.times.shape != self.values.shape or self.times.size < 3:
+        one_of("interpolation", self.interpolation, INTERPOLATIONS)
+        if self.times.ndim != 1 or self.times.shape != self.values.shape or self.times.size < 2:
             raise ValueError(
-                "times and values of a table must be two lists of one length, of three entries at least, got "
+                "times and values of a table must be two lists of one length, of two entries at least, got "
                 f"{self.times.shape} and {self.values.shape}"
             )
+        for name, x in (("times", self.times), ("values", self.values)):
+            if not isinstance(x, Tracer) and not bool(jnp.all(jnp.isfinite(x))):
+                raise ValueError(f"{name} of a table must be finite, got {x}")
         if not isinstance(self.times, Tracer) and not bool(jnp.all(jnp.diff(self.times) > 0)):
             raise ValueError(f"times of a table must increase, got {self.times} s")
 
     def __call__(self, time):
         t, x = self.times, self.values
-        length = jnp.diff(t)
-        rise = jnp.diff(x) / length
-        inner = (length[1:] * rise[:-1] + length[:-1] * rise[1:]) / (length[1:] + length[:-1])
-        slope = jnp.concatenate([2.0 * rise[:1] - inner[:1], inner, 2.0 * rise[-1:] - inner[-1:]])
         # Not `clip`, which would halve the velocity at the first time.
         now = jnp.where((time >= t[0]) & (time < t[-1]), time, jnp.where(time < t[0], t[0], t[-1]))
         k = jnp.clip(jnp.searchsorted(t, now, side="right") - 1, 0, t.size - 2)
-        h = length[k]
+        h = t[k + 1] - t[k]
         s = (now - t[k]) / h
+        if self.interpolation == "linear":
+            return (1.0 - s) * x[k] + s * x[k + 1]
+        slope = pchip_slopes(t, x)
         start = (1.0 + 2.0 * s) * x[k] + s * h * slope[k]
         return (1.0 - s) ** 2 * start + s**2 * ((3.0 - 2.0 * s) * x[k + 1] - (1.0 - s) * h * slope[k + 1])
+
+
+def pchip_slopes(t: Float[Array, " k"], x: Float[Array, " k"]) -> Float[Array, " k"]:
+    """Slopes at the entries of a table with which cubics are monotone where the table is (Fritsch & Carlson 1980, SIAM
+    J. Numer. Anal. 17, 238; in the form of Fritsch & Butland 1984, SIAM J. Sci. Stat. Comput. 5, 300).
+
+    Between rises of one sign their weighted harmonic mean, (w₀ + w₁) / (w₀/m₀ + w₁/m₁) with w₀ = 2h₁ + h₀,
+    w₁ = h₁ + 2h₀, and zero elsewhere; at the ends that of the parabola through three entries, zero if its sign is not
+    that of the rise beside it, and at most three times that if the next rise has another sign.
+    """
+    h = jnp.diff(t)
+    m = jnp.diff(x) / h
+    if m.size == 1:
+        return jnp.concatenate([m, m])
+    h0, h1, m0, m1 = h[:-1], h[1:], m[:-1], m[1:]
+    w0, w1 = 2.0 * h1 + h0, h1 + 2.0 * h0
+    same = m0 * m1 > 0
+    # Without the quotients w/m, and so with finite derivatives where rises are zero.
+    inner = jnp.where(same, (w0 + w1) * m0 * m1 / jnp.where(same, w0 * m1 + w1 * m0, 1.0), 0.0)
+    return jnp.concatenate([_end(h[0], h[1], m[0], m[1]), inner, _end(h[-1], h[-2], m[-1], m[-2])])
+
+
+def _end(h0: Scalar, h1: Scalar, m0: Scalar, m1: Scalar) -> Float[Array, " one"]:
+    slope = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    slope = jnp.where((m0 * m1 <= 0) & (jnp.abs(slope) > 3.0 * jnp.abs(m0)), 3.0 * m0, slope)
+    return jnp.where(slope * m0 > 0, slope, 0.0)[None]
 
 
 class AbstractMotion(eqx.Module):

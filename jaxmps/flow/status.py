@@ -58,7 +58,8 @@ ADVICE = {
     "surface leaves the pressure undetermined",
     Status.ESCAPED: "look at where it left: a wall needs a layer of WALL and ceil(ratio) - 1 layers of DUMMY without "
     "gaps, one spacing apart; spray over the rim needs a higher box; else try a smaller time step",
-    Status.INTERRUPTED: "run it again, from the start or from the last frame",
+    Status.INTERRUPTED: "where it has a checkpoint, `jaxmps resume` or mps.resume carries it on; else run it again, "
+    "from the start or, by mps.start(case, scheme, run=run), from the last frame",
     Status.TIME_STEP_COLLAPSED: "the flow had blown up before: try {scheme}a smaller time_step.courant; a fixed dt "
     "lets the run go on",
     Status.CLUSTERED: "try {scheme}a smaller time step; look for particles that overlap at t = 0",

@@ -14,7 +14,7 @@ from jaxmps.io.gathering import gather as gather
 from jaxmps.io.gathering import gathered as gathered
 from jaxmps.io.member_files import read_ensemble as read_ensemble
 from jaxmps.io.member_files import write_ensemble as write_ensemble
+from jaxmps.io.reading import read as read
 from jaxmps.io.text import TYPES as TYPES
 from jaxmps.io.vtkhdf import UNITS as UNITS
 from jaxmps.io.vtkhdf import Writer as Writer
-from jaxmps.io.vtkhdf import read as read

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxmps._types import as_array
 from jaxmps.flow import Kind, Particles
-from jaxmps.io.text import TYPES, Types, read_csv, read_prof, write_csv, write_prof
+from jaxmps.io.text import TYPES, Dialect, Types, read_csv, read_prof, write_csv, write_prof
 from jaxmps.results import Run, at_frame, needed, padded
 
 FORMATS = ("csv", "prof", "vtu", "vtp")
@@ -38,11 +38,21 @@ def export(run: Run, path: str | Path, frame: int = -1, *, types: Types = TYPES,
     return path
 
 
-def particles_from(path: str | Path, *, dim: int | None = None, types: Types = TYPES) -> Particles:
+def particles_from(
+    path: str | Path,
+    *,
+    dim: int | None = None,
+    types: Types = TYPES,
+    columns: Mapping[str, str] | None = None,
+    separator: str | None = ",",
+    decimal: str = ".",
+) -> Particles:
     """The particles in a .csv, .prof, .vtu or .vtp, to make a `Case` of with spacing, fluids, box and gravity.
 
     A CSV has a header with x, y, for three dimensions z, and any of u, v, w, pressure, kind and phase, with units in
-    brackets or without; the files of VTK may have the point data velocity, pressure, kind and phase. What is absent is
+    brackets or without. Where they have other names, `columns` gives the file's for ours, as in
+    {"x": "Points:0", "y": "Points:1", "u": "velocity:0", "v": "velocity:1"}; its other columns are not read then.
+    `separator` stands between values, None for any blanks, and `decimal` may be a comma. The files of VTK may have the point data velocity, pressure, kind and phase. What is absent is
     fluid of phase 0 without velocity and pressure. The other formats have three components: they are taken as of two
     dimensions if the third is zero throughout, or as `dim` says. `types` are what the numbers of a .prof mean, of which
     number density and pressure may be absent.
@@ -55,7 +65,10 @@ def particles_from(path: str | Path, *, dim: int | None = None, types: Types = T
         raise ValueError(f"dim must be 2 or 3, got {dim}")
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
-    found = read_csv(path) if form == "csv" else read_prof(path, types) if form == "prof" else _read_vtk(path)
+    dialect = Dialect(columns, separator, decimal)
+    if form != "csv" and dialect != Dialect():
+        raise ValueError(f"columns, separator and decimal must be given for a .csv only, got {path.name}")
+    found = read_csv(path, dialect) if form == "csv" else read_prof(path, types) if form == "prof" else _read_vtk(path)
     nothing = np.zeros(len(found["position"]))
     found = {
         "velocity": np.zeros_like(found["position"]),

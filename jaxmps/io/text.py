@@ -1,9 +1,12 @@
 """Particles as text: CSV with units in its header, and the .prof of the MPS textbooks. Faults are told by line."""
 
+import csv
 import itertools
 import math
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,18 +44,55 @@ def write_csv(path: Path, columns: Mapping[str, np.ndarray], time: float) -> Non
     np.savetxt(path, rows, formats, ",", header=header, comments="")
 
 
-def read_csv(path: Path) -> dict[str, np.ndarray]:
-    """The columns of a CSV by their names without units; lines that are empty are left out."""
+class Dialect(NamedTuple):
+    """How a CSV is written: its names for our columns, if they are others, what separates values (None for blanks), and
+    the decimal sign. `ValueError` for what is none.
+    """
+
+    columns: Mapping[str, str] | None = None
+    separator: str | None = ","
+    decimal: str = "."
+
+    def check(self) -> None:
+        if self.separator is not None and (len(self.separator) != 1 or self.separator in '"\r\n'):
+            raise ValueError(f"separator must be one character, or None for blanks, got {self.separator!r}")
+        if self.decimal not in (".", ",") or self.decimal == self.separator:
+            raise ValueError(f"decimal must be . or , and not the separator, got {self.decimal!r}")
+        if self.columns is not None:
+            unknown = [name for name in self.columns if name not in _CSV]
+            if unknown or not {"x", "y"} <= set(self.columns):
+                raise ValueError(f"columns must name x, y and others of {', '.join(_CSV)}, got {list(self.columns)}")
+
+    def parts(self, line: str) -> list[str]:
+        """The values of a line as text."""
+        if self.separator is None:
+            return shlex.split(line) if '"' in line else line.split()
+        parts = next(csv.reader([line], delimiter=self.separator)) if '"' in line else line.split(self.separator)
+        return [part.strip() for part in parts]
+
+
+def read_csv(path: Path, dialect: Dialect = Dialect()) -> dict[str, np.ndarray]:
+    """The columns of a CSV by their names without units; lines that are empty are left out. Where the dialect names
+    columns, all others are left out, whatever they hold.
+    """
+    dialect.check()
     lines = _lines(path)
     number, header = next(lines, (1, ""))
-    names = [name.split("[")[0].strip(' "') for name in header.split(",")]
-    unknown = [name for name in names if name not in _CSV]
-    if not {"x", "y"} <= set(names) or unknown or len(set(names)) < len(names):
-        raise ValueError(
-            f"{path}, line {number}: columns must be x, y and others of {', '.join(_CSV)}, each once, got "
-            f"{header[:200]}"
-        )
-    rows = _rows(path, lines, ",", len(names))
+    theirs, said = dialect.parts(header), f"{path}, line {number}: columns must be"
+    if dialect.columns is None:
+        names = [name.split("[")[0].strip() for name in theirs]
+        unknown = [name for name in names if name not in _CSV]
+        if not {"x", "y"} <= set(names) or unknown or len(set(names)) < len(names):
+            raise ValueError(f"{said} x, y and others of {', '.join(_CSV)}, each once, got {header[:200]}")
+        places = list(range(len(names)))
+    else:
+        names = list(dialect.columns)
+        if missing := [name for name in dialect.columns.values() if theirs.count(name) != 1]:
+            raise ValueError(
+                f"{said} {', '.join(dialect.columns.values())}, each once, got {missing[0]} in {header[:200]}"
+            )
+        places = [theirs.index(name) for name in dialect.columns.values()]
+    rows = _rows(path, lines, dialect, len(theirs), places)
     found = dict(zip(names, rows.T, strict=True))
     for vector, parts in (("position", "xyz"), ("velocity", "uvw")):
         there = [found[part] for part in parts[: 3 if "z" in found else 2] if part in found]
@@ -92,7 +132,8 @@ def read_prof(path: Path, types: Types) -> dict[str, np.ndarray]:
         )
     first = next(lines, (0, ""))
     width = next((width for width in _PROF if len(first[1].split()) == width), _PROF[0])
-    rows = _rows(path, itertools.chain([first] if first[1] else [], lines), None, width)
+    blanks = Dialect(separator=None)
+    rows = _rows(path, itertools.chain([first] if first[1] else [], lines), blanks, width, list(range(width)))
     if len(rows) != count:
         raise ValueError(f"{path} must have {count} lines of particles, as line {head[1][0]} says, got {len(rows)}")
     meanings = _meanings(types)
@@ -121,22 +162,25 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines that are not empty, with their numbers."""
     try:
         with path.open(encoding="utf-8-sig") as file:
-            yield from ((number, line.strip()) for number, line in enumerate(file, 1) if line.strip())
+            # Blanks at the end of a line, but not the tabs that separate nothing from nothing.
+            yield from ((number, line.strip(" \r\n")) for number, line in enumerate(file, 1) if line.strip())
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} must be a text file, got bytes that are none: {error.reason}") from error
 
 
-def _rows(path: Path, lines: Iterable[tuple[int, str]], separator: str | None, width: int) -> np.ndarray:
-    rows = []
+def _rows(path: Path, lines: Iterable[tuple[int, str]], dialect: Dialect, width: int, places: list[int]) -> np.ndarray:
+    """The numbers at some places of lines that have `width` of them."""
+    rows, comma = [], dialect.decimal == ","
+    what = f"{width} numbers" if len(places) == width else f"{width} values, with numbers in those that are read"
     for number, line in lines:
-        parts = line.split(separator)
+        parts = dialect.parts(line)
         if len(parts) != width:
-            raise ValueError(f"{path}, line {number}: there must be {width} numbers, got {len(parts)}")
+            raise ValueError(f"{path}, line {number}: there must be {what}, got {len(parts)}")
         try:
-            row = [float(part) for part in parts]
+            row = [float(parts[k].replace(",", ".") if comma else parts[k]) for k in places]
         except ValueError as error:
-            raise ValueError(f"{path}, line {number}: there must be {width} numbers, got {line[:200]}") from error
+            raise ValueError(f"{path}, line {number}: there must be {what}, got {line[:200]}") from error
         if not all(map(math.isfinite, row)):
             raise ValueError(f"{path}, line {number}: numbers must be finite, got {line[:200]}")
         rows.append(row)
-    return np.array(rows, np.float64).reshape(-1, width)
+    return np.array(rows, np.float64).reshape(-1, len(places))

@@ -9,15 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from jaxmps.description import UNITS
-from jaxmps.flow import Event, Outcome, Status
 from jaxmps.io import image as images
 from jaxmps.io import layout
-from jaxmps.results import Run
 
 FORMAT = 1
 
@@ -133,59 +130,6 @@ class Writer:
         padded = np.zeros((self._particles, 3), self._dtype)
         padded[:, : self._dim] = _checked(name, np.asarray(values), (self._particles, self._dim))
         return padded
-
-
-def read(path: str | Path) -> Run:
-    """The run in the file at `path`; one that is still going, or was killed, counts as interrupted.
-
-    Raises `FileNotFoundError` if there is none, `ValueError` if it is not a run or is damaged.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"there is no run at {path}")
-    if not path.is_file() or not h5py.is_hdf5(path):
-        raise ValueError(f"{path} is not a jaxmps run: it is no HDF5 file, or a damaged one")
-    try:
-        with layout.open_file(path, "r") as file:
-            fault = _fault(file)
-            fields = {} if fault else _read_fields(file)
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
-    if fault:
-        raise ValueError(f"{path} is not a jaxmps run: {fault}")
-    return Run(**fields, path=path)
-
-
-def _fault(file: Any) -> str | None:
-    if "jaxmps" not in file or "VTKHDF" not in file:
-        return "it has no groups jaxmps and VTKHDF"
-    version = file["jaxmps"].attrs["format"]
-    return None if version == FORMAT else f"its format is {version}, not {FORMAT}"
-
-
-def _read_fields(file: Any) -> dict[str, Any]:
-    root, own = file["VTKHDF"], file["jaxmps"]
-    frames, dim = int(root["Steps"].attrs["NSteps"]), int(own.attrs["dim"])
-    particles = int(root["NumberOfPoints"][0])
-
-    def frames_of(name: str) -> np.ndarray:
-        stored = root[name][: frames * particles]
-        values = stored.reshape(frames, particles, *stored.shape[1:])
-        return np.ascontiguousarray(values[..., :dim]) if stored.ndim == 2 else values
-
-    fields: dict[str, Any] = {name: frames_of(f"PointData/{name}") for name in layout.CHANGING}
-    fields |= {name: root[f"PointData/{name}"][:] for name in layout.FIXED}
-    fields |= {"position": frames_of("Points"), "surface": fields["surface"].astype(bool)}
-    fields |= {name: own[name][:frames] for name in ("time", "energy")}
-    fields["spacing"] = float(own.attrs["spacing"])
-    fields["metadata"] = {key: json.loads(text) for key, text in own["metadata"].attrs.items()}
-    if "status" in own.attrs:
-        fields["status"] = Outcome.from_dict(json.loads(own.attrs["status"]))
-        fields["summary"] = json.loads(own.attrs["summary"])
-    else:
-        last = float(fields["time"][-1]) if frames else 0.0
-        fields["status"] = Outcome((Event(int(Status.INTERRUPTED), last, step=frames),))
-    return fields
 
 
 def _checked(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -48,6 +48,12 @@ class Neighbors(eqx.Module):
         """Slots for neighbors of each particle."""
         return self.table.idx.shape[1]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle and `copy.deepcopy`: jax-md's list has functions of this process, which are made again."""
+        table = self.table
+        arrays = table.idx, table.reference_position, table.error.code
+        return _made, (*arrays, table.cell_list_capacity, table.max_occupancy, self.box, self.cutoff, self.skin)
+
 
 def usual_capacity(reach: float, dim: int) -> int:
     """Slots for neighbors within `reach` spacings: a quarter more than in a uniform cloud, and room for the lattice.
@@ -65,19 +71,29 @@ def allocate(position: Float[Array, "n d"], box: Box, cutoff: float, skin: float
     n = position.shape[0]
     points = n if box.mirror is None else 2 * n
     capacity = max(0, min(capacity, points - 1))
+    nobody = jnp.full_like(position, jnp.nan)  # nobody was anywhere: the first update builds the list
+    window = window_size(_lengths(box, cutoff + skin), box.periodic, cutoff + skin, points, capacity)
+    arrays = jnp.full((n, capacity), points, jnp.int32), nobody, jnp.zeros((), jnp.uint8)
+    return _build(_made(*arrays, window, capacity, box, cutoff, skin), position)
+
+
+def _made(
+    idx: Any, reference: Any, error: Any, window: int, capacity: int, box: Box, cutoff: float, skin: float
+) -> Neighbors:
+    """A list from what tells it from others."""
     jax_md = partition()
     table = jax_md.NeighborList(
-        idx=jnp.full((n, capacity), points, jnp.int32),
-        reference_position=jnp.full_like(position, jnp.nan),  # nobody was anywhere: the first update builds the list
-        error=jax_md.PartitionError(jnp.zeros((), jnp.uint8)),
-        cell_list_capacity=window_size(_lengths(box, cutoff + skin), box.periodic, cutoff + skin, points, capacity),
+        idx=idx,
+        reference_position=reference,
+        error=jax_md.PartitionError(error),
+        cell_list_capacity=window,
         max_occupancy=capacity,
         format=jax_md.Dense,
         cell_size=None,
         cell_list_fn=None,
         update_fn=_update_function(box, cutoff, skin),
     )
-    return _build(Neighbors(table, box, cutoff, skin), position)
+    return Neighbors(table, box, cutoff, skin)
 
 
 def update(neighbors: Neighbors, position: Float[Array, "n d"]) -> Neighbors:
@@ -87,7 +103,8 @@ def update(neighbors: Neighbors, position: Float[Array, "n d"]) -> Neighbors:
     """
     box = neighbors.box
     inside = box.wrap(jax.lax.stop_gradient(position)) - jnp.array(box.lower, position.dtype)
-    return eqx.tree_at(lambda n: n.table, neighbors, neighbors.table.update(inside))
+    # A list has no derivative, also where one by a whole state is asked for.
+    return eqx.tree_at(lambda n: n.table, neighbors, jax.lax.stop_gradient(neighbors.table).update(inside))
 
 
 _build = jit(update)

@@ -2,18 +2,27 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from jaxmps.description import table
 from jaxmps.flow import Kind, Outcome
 from jaxmps.results import views
+from jaxmps.results.stored import Stored
+
+# A column of a file that is read lazily stands for an array wherever one is used.
+if TYPE_CHECKING:
+    Frames: TypeAlias = np.ndarray
+else:
+    Frames = np.ndarray | Stored
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """The saved frames of a run: m frames of n particles in d dimensions, as numpy arrays.
+
+    Of a run that was read with `lazy`, each frame of a column is read from the file when it is asked for.
 
     - `time` (m,) [s]
     - `position` (m, n, d) [m]
@@ -32,12 +41,12 @@ class Run:
     """
 
     time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    pressure: np.ndarray
-    number_density: np.ndarray
-    surface: np.ndarray
-    kind: np.ndarray
+    position: Frames
+    velocity: Frames
+    pressure: Frames
+    number_density: Frames
+    surface: Frames
+    kind: Frames
     phase: np.ndarray
     density: np.ndarray
     spacing: float

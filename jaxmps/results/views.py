@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxmps.description import UNITS
-from jaxmps.flow import Kind
+from jaxmps.flow import Box, Kind
 
 AXES = "xyz"
 _DIMENSIONS = {
@@ -28,6 +28,13 @@ def at_frame(run: Any, frame: int) -> dict[str, np.ndarray]:
         raise IndexError(f"frame must be between {-count} and {count - 1}, got {frame}")
     columns = {name: getattr(run, name) for name in _DIMENSIONS}
     return {name: values[frame] if _DIMENSIONS[name][0] == "time" else values for name, values in columns.items()}
+
+
+def box_of(run: Any) -> Box:
+    """The box of a run; one without periodic axes if the run is of a version that did not keep it."""
+    dim = run.position.shape[-1]
+    told = run.metadata.get("box") or {"lower": [0.0] * dim, "upper": [1.0] * dim, "periodic": [False] * dim}
+    return Box(*(tuple(told[name]) for name in ("lower", "upper", "periodic")), mirror=told.get("mirror"))
 
 
 def dataset(run: Any) -> Any:

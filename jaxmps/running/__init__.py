@@ -1,5 +1,6 @@
 """Running a case: the host's loop with its recorder, rescue and checkpoints, and the pure `rollout`."""
 
+from jaxmps.running.checks import check_precision as check_precision
 from jaxmps.running.log import Log as Log
 from jaxmps.running.log import empty_log as empty_log
 from jaxmps.running.log import events as events
@@ -15,5 +16,5 @@ from jaxmps.running.rescue import ON_BLOWUP as ON_BLOWUP
 from jaxmps.running.restart import resume as resume
 from jaxmps.running.rollout import rollout as rollout
 from jaxmps.running.simulation import simulate as simulate
-from jaxmps.running.simulation import start as start
+from jaxmps.running.starting import start as start
 from jaxmps.running.upkeep import Upkeep as Upkeep

@@ -84,7 +84,7 @@ class Loop:
         self._upkeep.going[0] = not self.outcome.flags & FATAL
 
     def note(self, bit: Status) -> None:
-        self._upkeep.note(0, happened(self.state, bit, self.case.spacing))
+        self._upkeep.note(0, happened(self.case, self.state, bit))
 
     def halve(self, event: Event) -> None:
         """Takes half the time step from here on, fixed or adaptive, and notes why."""

@@ -59,6 +59,7 @@ class Recorder:
             "case": {"name": case.name, **dict(case.parameters)},
             "scheme": {"name": scheme.name, **describe(scheme)},
             "run": {**settings, "precision": str(position.dtype)},
+            "box": case.box.described(),
             "versions": versions(),
         }
         self._times: list[float] = []
@@ -135,6 +136,6 @@ class Recorder:
         }
         if self._writer is not None:
             self._writer.finish(outcome.to_dict(), summary)
-            return read(self._writer.path)
+            return read(self._writer.path, lazy=None)
         columns = {name: np.stack([f[name] for f in self._frames]) for name in self._frames[0]}
         return Run(**columns, **self._fixed, status=outcome, summary=summary, metadata=self._metadata)

@@ -8,6 +8,7 @@ from jaxmps.flow import Case, SimulationWarning
 from jaxmps.io import checkpoint_of, read
 from jaxmps.results import Run
 from jaxmps.running.checkpoints import Checkpoint, Checkpoints, next_multiple
+from jaxmps.running.checks import check_precision
 from jaxmps.running.loop import frame_times
 from jaxmps.running.recorder import Recorder
 from jaxmps.running.rescue import Rescue
@@ -27,12 +28,13 @@ def resume(path: str | Path, case: Case, scheme: Scheme, *, progress: bool | Non
     """
     path = Path(path)
     if not checkpoint_of(path).exists():
-        run = read(path)
+        run = read(path, lazy=None)
         if run.status.completed:
             return run
         raise ValueError(f"{path} has no checkpoint to resume from: checkpoint_every of simulate makes them")
     checkpoint = Checkpoint(path)
     checkpoint.check(case, scheme)
+    check_precision(case=case, scheme=scheme)
     if changed := differences(checkpoint.versions, versions()):
         told = f"the run may differ in round-off from one that was not stopped: {'; '.join(changed)}"
         warnings.warn(told, SimulationWarning, stacklevel=2)

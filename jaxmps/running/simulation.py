@@ -1,4 +1,4 @@
-"""Running a case: `start` and the pure `rollout`; `simulate` is the host's loop around compiled chunks of steps."""
+"""`simulate`: the host's loop around compiled chunks of steps."""
 
 import warnings
 from collections.abc import Sequence
@@ -10,61 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.flow import FATAL, Case, SimulationWarning, Status
 from jaxmps.io import checkpoint_of
-from jaxmps.neighbors import SKIN, Neighbors, allocate, pairs, usual_capacity
-from jaxmps.operators import pair_weight
 from jaxmps.results import Run
 from jaxmps.running.checkpoints import Checkpoints
+from jaxmps.running.checks import check_start
 from jaxmps.running.loop import Loop, frame_times
 from jaxmps.running.progress import meter
 from jaxmps.running.recorder import Recorder
 from jaxmps.running.rescue import Rescue
+from jaxmps.running.starting import start as _start  # `simulate` has an argument of that name
 from jaxmps.scheme import Scheme
-from jaxmps.stepping import State, density_and_surface, limits
+from jaxmps.stepping import State, limits
 from jaxmps.validation import positive
 
 _MOST_FRAMES = 1_000_000  # a mistyped time, not a plan
-
-
-def start(case: Case, scheme: Scheme, *, skin: float = SKIN, capacity: int | None = None) -> State:
-    """The state at t = 0 with its neighbor list allocated. Not for use under jit.
-
-    The list reaches `skin` spacings beyond the cutoff and has `capacity` slots for each particle, by default a quarter
-    more than particles have neighbors in a uniform cloud. Raises `ValueError` if the box is too short along a periodic
-    axis: a particle would meet two images of another.
-    """
-    positive("skin", skin, "spacings")
-    for periodic, axis, length in zip(case.box.periodic, "xyz", case.box.lengths, strict=False):
-        if periodic and length < 2.0 * scheme.ratio * case.spacing:
-            raise ValueError(
-                f"the box must be at least two effective radii ({2.0 * scheme.ratio * case.spacing:g} m) long on its "
-                f"periodic axis {axis}, got {length:g} m"
-            )
-    if capacity is None:
-        capacity = usual_capacity(scheme.ratio + skin, case.dim)
-    radius = scheme.ratio * case.spacing
-    neighbors = allocate(case.particles.listed_position, case.box, radius, skin * case.spacing, capacity)
-    time = jnp.zeros_like(case.particles.pressure[0])
-    n, surface = _first_look(case.undescribed(), scheme, neighbors)
-    return State(
-        particles=case.motion.drive(case.particles, case.particles.position, time),
-        neighbors=neighbors,
-        number_density=n,
-        surface=surface,
-        time=time,
-        step=jnp.zeros((), jnp.int32),
-        loss=jnp.zeros_like(case.particles.pressure[0]),
-    )
-
-
-@jit
-def _first_look(case: Case, scheme: Scheme, neighbors: Neighbors) -> tuple[Array, Array]:
-    near = pairs(neighbors, case.particles, case.spacing)
-    w = pair_weight(near, scheme.ratio * case.spacing)
-    return density_and_surface(case, scheme, case.particles, near, w)
 
 
 def simulate(
@@ -88,18 +49,19 @@ def simulate(
     table that is too small is enlarged and the step repeated. With `out` the frames go to a VTKHDF file as they are
     made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
     state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
-    same way. `start` carries on from another state. With `on_blowup="halve-dt"` a run that blows up goes back to its
-    last frame and on from there with half the time step, at most ten times in a row; each is an event of the status.
-    Unless `progress` is false, a bar shows how far the run is, or a line on stderr every ten seconds where there is
-    neither terminal nor notebook.
+    same way. `start` carries on from another state, which `mps.start` makes of a frame of a run, too. With
+    `on_blowup="halve-dt"` a run that blows up goes back to its last frame and on from there with half the time step, at
+    most ten times in a row; each is an event of the status. Unless `progress` is false, a bar shows how far the run is,
+    or a line on stderr every ten seconds where there is neither terminal nor notebook.
 
     With `checkpoint_every` [s] all that the run goes on from is kept beside `out`, in a file with `.checkpoint` behind
     its name: at the start and then at the first pause of the compiled steps, some tenths of a second of wall time
     apart, at or after each multiple of that time. The steps are the same with and without. `resume` carries the run on
     after a kill or a failure of the machine; the checkpoint of a run that has reached its end is removed.
 
-    Raises `ValueError` for times that are not positive, an unknown `on_blowup`, or checkpoints with "halve-dt",
-    `FileExistsError` for an existing file.
+    Raises `ValueError` for times that are not positive, an unknown `on_blowup`, checkpoints with "halve-dt", a `start`
+    of another case or for another radius, and what was made in another precision; `FileExistsError` for an existing
+    file.
     """
     until = positive("until", until, "s")
     save_every = until if save_every is None else min(until, positive("save_every", save_every, "s"))
@@ -107,6 +69,8 @@ def simulate(
         raise ValueError(f"save_every must leave at most {_MOST_FRAMES} frames up to {until:g} s, got {save_every:g} s")
     fixed = None if dt is None else jnp.asarray(positive("dt", dt, "s"), float)
     key = jax.random.key(0) if key is None else key
+    if start is not None:
+        check_start(case, scheme, start)
     state = _start(case, scheme) if start is None else start
     begin = float(state.time)
     if begin >= until:
@@ -160,9 +124,6 @@ def march(
     if checkpoints is not None and outcome.completed:
         checkpoints.discard()
     return run
-
-
-_start = start  # `simulate` has an argument of that name
 
 
 def _check_time_step(case: Case, scheme: Scheme, state: State, dt: Scalar | None) -> None:

@@ -29,7 +29,7 @@ class Upkeep:
     def __init__(self, case: Case, scheme: Scheme, count: int = 1):
         self.steps, self.going = _FIRST, np.ones(count, bool)
         self.notes: list[tuple[Event, ...]] = [()] * count
-        self._spacing = case.spacing
+        self._case = case
         has = {
             "stabilizer": not isinstance(scheme.stabilizer, NoStabilization),
             "collisions": not isinstance(scheme.collision, NoCollision),
@@ -67,11 +67,11 @@ class Upkeep:
 
     def _end(self, runs: np.ndarray, bit: Status, state_of: Callable[[int], State]) -> None:
         for run in np.flatnonzero(runs).tolist():
-            self.note(run, happened(state_of(run), bit, self._spacing))
+            self.note(run, happened(self._case, state_of(run), bit))
         self.going &= ~runs
 
 
-def happened(state: State, bit: Status, spacing: float) -> Event:
+def happened(case: Case, state: State, bit: Status) -> Event:
     """The event that a run ended with at this state: of a collapsed time step with the fastest particle, of clusters
     with one of the closest.
     """
@@ -84,8 +84,9 @@ def happened(state: State, bit: Status, spacing: float) -> Event:
         speed = np.linalg.norm(np.asarray(state.particles.velocity)[fluid], axis=1)
         found, value = int(np.argmax(speed)), float(speed.max())
     else:
-        distance = KDTree(position).query(position, k=2)[0][:, 1]
-        found, value = int(np.argmin(distance)), float(distance.min()) / spacing
+        places, periods = case.box.torus(position)
+        distance = KDTree(places, boxsize=periods).query(places, k=2)[0][:, 1]
+        found, value = int(np.argmin(distance)), float(distance.min()) / case.spacing
     return dataclasses.replace(event, particle=int(fluid[found]), position=tuple(position[found].tolist()), value=value)
 
 

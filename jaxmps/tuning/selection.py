@@ -22,7 +22,7 @@ class Selection:
 
     def __init__(self, tree: Any, where: Callable[[Any], Any], bounds: Sequence[Bounds] | None):
         self._tree, self._where, self._several = tree, where, isinstance(where(tree), (list, tuple))
-        paths = jax.tree_util.tree_map_with_path(lambda path, _: jax.tree_util.keystr(path).lstrip("."), tree)
+        paths = jax.tree_util.tree_map_with_path(lambda path, _: _name(path), tree)
         self.leaves, self.names = self._chosen(tree), self._chosen(paths)
         for name, leaf in zip(self.names, self.leaves, strict=True):
             if not eqx.is_inexact_array(leaf):
@@ -52,6 +52,11 @@ class Selection:
     def _chosen(self, tree: Any) -> list[Any]:
         chosen = self._where(tree)
         return list(chosen) if self._several else [chosen]
+
+
+def _name(path: tuple[Any, ...]) -> str:
+    """The way to a leaf; a tree that is a leaf itself goes by the name of its argument."""
+    return jax.tree_util.keystr(path).lstrip(".") or "start"
 
 
 def _bounded(free: Array, bounds: Bounds) -> Array:
