@@ -16,7 +16,9 @@ from jaxmps.flow.status import advice_on
 from jaxmps.neighbors import allocate, update
 from jaxmps.running import loop
 
-SCHEME = by_diagonal(mps.schemes.mps())
+
+def scheme() -> mps.Scheme:
+    return by_diagonal(mps.schemes.mps())
 
 
 def dam(**sides) -> mps.Case:
@@ -28,15 +30,15 @@ def test_a_flow_that_gains_energy_from_nowhere_ends_within_steps_of_doubling_it(
     # A step that makes all velocities 5 % larger: the energy grows by a tenth in each.
     usual = loop.step
 
-    def growing(case, scheme, state, dt, key):
-        state, info = usual(case, scheme, state, dt, key)
+    def growing(case, used, state, dt, key):
+        state, info = usual(case, used, state, dt, key)
         gain = 0.05 * 2.0 * info.energy.kinetic
         faster = eqx.tree_at(lambda s: s.particles.velocity, state, 1.05 * state.particles.velocity)
         return faster, info._replace(loss=info.loss - gain)
 
     monkeypatch.setattr(loop, "step", growing)
     monkeypatch.setattr(loop, "_advance", loop.jit(lambda *a: loop.advance_chunk(*a)))
-    run = mps.simulate(dam(), SCHEME, until=1.0, save_every=0.02)
+    run = mps.simulate(dam(), scheme(), until=1.0, save_every=0.02)
     end = run.status.fatal
     assert end is not None and end.value is not None and end.status == Status.RUNAWAY
     # A dam of 1 m has 9.81 J/kg to fall: the run ends before it has twice that.
@@ -50,15 +52,15 @@ def test_a_particle_ten_times_as_fast_as_a_fall_ends_the_run():
     case = dam()
     log = loop.empty_log(case, case.particles)
     assert float(log.scale) == pytest.approx(9.81 * 0.9)  # from the centers of the highest row to those of the lowest
-    info = jax.tree.map(lambda x: x[0], mps.rollout(case, SCHEME, mps.start(case, SCHEME), steps=1, dt=1e-3)[1])
+    info = jax.tree.map(lambda x: x[0], mps.rollout(case, scheme(), mps.start(case, scheme()), steps=1, dt=1e-3)[1])
     for factor, ends in ((9.9, False), (10.1, True)):
         fast = info._replace(max_speed=factor * jnp.sqrt(2.0 * log.scale))
         assert bool(int(loop.judged(log, fast, case.particles).status) & Status.RUNAWAY) == ends
     # A jet counts as what the flow has at its start: it may be as fast as its user wants.
-    start = mps.start(case, SCHEME)
+    start = mps.start(case, scheme())
     jet = start.particles.velocity.at[0, 1].set(60.0)
     jet = eqx.tree_at(lambda s: s.particles.velocity, start, jet)
-    assert mps.simulate(case, SCHEME, until=2e-3, dt=1e-3, start=jet).status.completed
+    assert mps.simulate(case, scheme(), until=2e-3, dt=1e-3, start=jet).status.completed
 
 
 def test_flows_that_walls_drive_or_that_begin_at_rest_without_gravity_are_let_be():
@@ -66,7 +68,7 @@ def test_flows_that_walls_drive_or_that_begin_at_rest_without_gravity_are_let_be
     still = eqx.tree_at(lambda c: c.particles.velocity, case, 0.0 * case.particles.velocity)
     log = loop.empty_log(still, still.particles)
     assert float(log.scale) == 0.0
-    info = mps.rollout(case, SCHEME, mps.start(case, SCHEME), steps=1, dt=1e-3)[1]
+    info = mps.rollout(case, scheme(), mps.start(case, scheme()), steps=1, dt=1e-3)[1]
     info = jax.tree.map(lambda x: x[0], info)
     assert int(loop.judged(log, info, still.particles).status) == 0
 
@@ -115,6 +117,6 @@ def test_an_outflow_of_half_the_water_keeps_the_capacity_and_is_compiled_once(mo
     seen = []
     reach = loop.Loop.reach
     monkeypatch.setattr(loop.Loop, "reach", lambda self, *a: (reach(self, *a), seen.append(self.state))[0])
-    run = mps.simulate(case, SCHEME, until=0.85, save_every=0.05)
+    run = mps.simulate(case, scheme(), until=0.85, save_every=0.05)
     assert run.status.completed and run.summary["fluid_particles"] <= 36 and run.summary["escaped"] >= 36
     assert len(traced) <= 2 and len({s.neighbors.capacity for s in seen}) == 1

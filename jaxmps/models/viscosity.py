@@ -26,7 +26,7 @@ class AbstractViscosity(eqx.Module):
         n0: float,
         lam: float,
     ) -> Float[Array, "n d"]:
-        """Acceleration [m/s²] of what `moves`, from the kinematic viscosity [m²/s] and density [kg/m³] of each particle.
+        """Acceleration [m/s²] of what `moves`, from kinematic viscosity [m²/s] and density [kg/m³] of each particle.
 
         Both are of one entry where there is one fluid.
         """
