@@ -23,7 +23,7 @@ from jaxmps.ensembles import lanes
 from jaxmps.ensembles.batch_size import bytes_of
 from jaxmps.ensembles.members import members
 from jaxmps.io import read_ensemble, write_ensemble
-from jaxmps.running import empty_log, loop, simulation
+from jaxmps.running import empty_log, loop, starting
 
 ALPHAS = (0.0, 0.02, 0.04)
 KEYS = jax.vmap(jax.random.key)(jnp.arange(3))
@@ -115,7 +115,7 @@ def test_a_full_table_of_one_member_is_enlarged_without_changing_the_answer(swep
     batch = members(swept[0], swept[1], KEYS)
     usual = lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
     usual.reach(0.02)
-    monkeypatch.setattr(simulation, "usual_capacity", lambda reach, dim: 9)
+    monkeypatch.setattr(starting, "usual_capacity", lambda reach, dim: 9)
     small = lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
     small.reach(0.02)
     np.testing.assert_allclose(small.look(), usual.look(), atol=1e-12)

@@ -260,7 +260,7 @@ def test_separators_and_decimal_commas(tmp_path, separator, decimal, text):
         ({"columns": {"x": "Points:0", "y": "Points:1", "q": "b"}}, "columns must name x, y and others of"),
         (
             {"columns": {"x": "Points:0", "y": "Points:3"}},
-            "columns must be Points:0, Points:3, each once, got Points:3 in",
+            "line 1: columns must be Points:0, Points:3, each once, got",
         ),
         (
             {"columns": {"x": "Points:0", "y": "name"}},

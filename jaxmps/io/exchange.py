@@ -52,10 +52,12 @@ def particles_from(
     A CSV has a header with x, y, for three dimensions z, and any of u, v, w, pressure, kind and phase, with units in
     brackets or without. Where they have other names, `columns` gives the file's for ours, as in
     {"x": "Points:0", "y": "Points:1", "u": "velocity:0", "v": "velocity:1"}; its other columns are not read then.
-    `separator` stands between values, None for any blanks, and `decimal` may be a comma. The files of VTK may have the point data velocity, pressure, kind and phase. What is absent is
-    fluid of phase 0 without velocity and pressure. The other formats have three components: they are taken as of two
-    dimensions if the third is zero throughout, or as `dim` says. `types` are what the numbers of a .prof mean, of which
-    number density and pressure may be absent.
+    `separator` stands between values, None for any blanks, and `decimal` may be a comma.
+
+    The files of VTK may have the point data velocity, pressure, kind and phase. What is absent is fluid of phase 0
+    without velocity and pressure. The formats other than CSV have three components: they are taken as of two dimensions
+    if the third is zero throughout, or as `dim` says. `types` are what the numbers of a .prof mean, of which number
+    density and pressure may be absent.
 
     Raises `FileNotFoundError` if there is no file, `ValueError`, with the line, if something is wrong with it.
     """

@@ -71,7 +71,7 @@ class Dialect(NamedTuple):
         return [part.strip() for part in parts]
 
 
-def read_csv(path: Path, dialect: Dialect = Dialect()) -> dict[str, np.ndarray]:
+def read_csv(path: Path, dialect: Dialect) -> dict[str, np.ndarray]:
     """The columns of a CSV by their names without units; lines that are empty are left out. Where the dialect names
     columns, all others are left out, whatever they hold.
     """
@@ -87,10 +87,9 @@ def read_csv(path: Path, dialect: Dialect = Dialect()) -> dict[str, np.ndarray]:
         places = list(range(len(names)))
     else:
         names = list(dialect.columns)
-        if missing := [name for name in dialect.columns.values() if theirs.count(name) != 1]:
-            raise ValueError(
-                f"{said} {', '.join(dialect.columns.values())}, each once, got {missing[0]} in {header[:200]}"
-            )
+        if any(theirs.count(name) != 1 for name in dialect.columns.values()):
+            wanted = ", ".join(dialect.columns.values())
+            raise ValueError(f"{said} {wanted}, each once, got {header[:200]}")
         places = [theirs.index(name) for name in dialect.columns.values()]
     rows = _rows(path, lines, dialect, len(theirs), places)
     found = dict(zip(names, rows.T, strict=True))
