@@ -11,35 +11,19 @@ from jaxmps.results import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_INK = "#c0392b"
-
 
 def draw(setup: Setup) -> "Figure":
-    """The start of the case: fluids by color, walls in grey (not in 3-D), in 2-D with domain and probes."""
+    """The start of the case: fluids by color, walls, probes, and in 2-D the domain."""
     figure = frame(_as_run(setup), color="phase")
     axes, box = figure.axes[0], setup.case.box
-    bar = axes.child_axes[0] if setup.case.dim == 2 else figure.axes[1]
-    if setup.fluids:
-        bar.set_yticks(bar.get_yticks(), labels=setup.fluids)
     if len(setup.case.fluids.density) == 1:
+        bar = axes.child_axes[0] if setup.case.dim == 2 else figure.axes[1]
         bar.remove()
     if setup.case.dim == 3:
         return figure
     from matplotlib.patches import Rectangle
 
     axes.add_patch(Rectangle((box.lower[0], box.lower[1]), *box.lengths, fill=False, ls=":", ec="#5f6368"))
-    for probe in setup.probes:
-        if not probe.place:
-            continue
-        points = np.array(probe.place)
-        if probe.kind == "wave_gauge":
-            axes.axvline(points[0, 0], color=_INK, lw=1.0, ls="--")
-        else:
-            axes.plot(*points.T, color=_INK, lw=2.0, marker="o", ms=5.0, mfc="white")
-        x, y = points.mean(axis=0) if probe.kind != "wave_gauge" else (points[0, 0], axes.get_ylim()[1])
-        right = x > np.mean(axes.get_xlim())
-        style = {"color": _INK, "fontsize": 8, "textcoords": "offset points", "ha": "right" if right else "left"}
-        axes.annotate(probe.name, (x, y), (-4 if right else 4, -10), **style)
     # A small domain is shown whole, of a large one the part with the particles.
     margin = 2.0 * setup.case.spacing
     for set_limits, limits, low, high in (
@@ -67,5 +51,5 @@ def _as_run(setup: Setup) -> Run:
         density=np.asarray(case.density),
         spacing=case.spacing,
         energy=np.zeros((1, 2)),
-        metadata={"case": {"name": case.name}, "scheme": {"name": setup.scheme.name}},
+        metadata={"case": {"name": case.name, **dict(case.parameters)}, "scheme": {"name": setup.scheme.name}},
     )

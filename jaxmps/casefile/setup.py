@@ -88,9 +88,12 @@ class CaseFile:
             case, layout = build(tables, self.path, method.ratio, spacing)
             fluids = tuple(table.name or f"fluid {i}" for i, table in enumerate(tables.fluid, 1))
         case = jittered(case, times.jitter, times.seed)
+        probes = self._probes(case.dim)
         described = {**dict(case.parameters), "file": self.path.name, "toml": self.text}
+        described |= {"fluids": fluids} if fluids else {}
+        described |= {"probes": probes} if probes else {}
         case = dataclasses.replace(case, parameters=tuple(described.items()))
-        return Setup(case, method, self._probes(case.dim), times, layout, fluids)
+        return Setup(case, method, probes, times, layout, fluids)
 
     def _scheme(self, name: str | None, texts: Mapping[str, str], others: Mapping[str, Any]) -> Scheme:
         table = self.tables.scheme

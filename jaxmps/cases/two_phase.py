@@ -75,7 +75,7 @@ def _grains(name: str, arguments: dict[str, float]) -> Case:
     length = cells(_TANK["length"], spacing)
     return tank_case(
         name=name,
-        parameters=arguments,
+        parameters=arguments | {"fluids": ("water", "grains")},
         block=(length, cells(_TANK["depth"], spacing)),
         inside=(length, 0),
         wall_height=cells(_TANK["height"], spacing),
@@ -151,6 +151,7 @@ def two_layer(
         **viscosity,
         "gravity": gravity,
         "ratio": ratio,
+        "fluids": ("lower", "upper"),
     }
     across, lower, upper = (cells(value, spacing) for value in lengths.values())
     return tank_case(

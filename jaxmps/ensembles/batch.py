@@ -28,7 +28,7 @@ class Batch:
         alone = len(members) == 1 and len(devices) == 1
         self._lanes = Alone(members[0], dt, look) if alone else Lanes(members, dt, look, devices)
         self._members, self._times, self._metadata = members, times, metadata
-        self._seen, self._alive = [self._lanes.look()], [self._lanes.alive.copy()]
+        self._seen, self._alive = [self._lanes.look(times[1])], [self._lanes.alive.copy()]
 
     def next_frame(self) -> None:
         """Runs up to the next frame. Members that have all failed cost nothing."""

@@ -1,5 +1,6 @@
 """Several runs as one compiled program: a run in each lane, lanes side by side on a device, devices side by side."""
 
+import copy
 import time as clock
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -15,7 +16,7 @@ from jaxmps._compilation import jit
 from jaxmps._types import Scalar
 from jaxmps.ensembles.members import Member, split
 from jaxmps.flow import FATAL, Case, Outcome
-from jaxmps.running import Clock, Log, Loop, Meter, Upkeep, advance_chunk, empty_log, events, start
+from jaxmps.running import Clock, Log, Loop, Meter, Upkeep, advance_chunk, empty_log, events, start, unsolved
 from jaxmps.stepping import State
 
 T = TypeVar("T")
@@ -41,8 +42,12 @@ class Alone:
     def reach(self, target: float) -> None:
         self._loop.reach(target, Meter(None, target))
 
-    def look(self) -> Any:
-        seen = jax.device_get(_look(self._look, self._loop.case, self._loop.state, self._loop.log))
+    def look(self, target: float | None = None) -> Any:
+        """What is seen now; at the start with the pressure of the first step towards a time `target` [s]."""
+        loop, state = self._loop, self._loop.state
+        if target is not None and unsolved(state):
+            state = _with_pressure(state, loop.first_pressure(target, Meter(None, target)))
+        seen = jax.device_get(_look(self._look, loop.case, state, loop.log))
         return jax.tree.map(lambda x: np.asarray(x)[None], seen)
 
 
@@ -72,9 +77,25 @@ class Lanes:
     def outcomes(self) -> list[Outcome]:
         return [self._upkeep.outcome(k, events(_lane(self._log, k))) for k in range(self.count)]
 
-    def look(self) -> Any:
-        seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, self._state, self._log))
+    def look(self, target: float | None = None) -> Any:
+        """What is seen now; at the start with the pressure of the first step towards a time `target` [s]."""
+        state = self._state if target is None else _with_pressure(self._state, self._first_pressure(target))
+        seen = jax.device_get(_look_lanes(self._look, self._own, self._shared, state, self._log))
         return jax.tree.map(lambda x: x[: self.count], seen)
+
+    def _first_pressure(self, target: float) -> Any:
+        """As `Loop.first_pressure`, of lanes that have no pressure yet."""
+        state, zero, upkeep = self._state, jnp.zeros_like(self._state.time), copy.deepcopy(self._upkeep)
+        timer = Clock(jnp.where(upkeep.going, target - self._time, 0.0), zero, zero, self._largest)
+        grown: Any = state.neighbors
+        while grown is not None:  # from the same start, with larger tables
+            carry, steps = (state, timer, self._log), jnp.asarray(1)
+            (found, _, _), status = _advance(self._mesh, self._own, self._shared, carry, self._dt, self._keys, steps)
+            grown = upkeep.after(np.asarray(status), lambda lane: _lane(self._state, lane))
+            if grown is not None:
+                state = eqx.tree_at(lambda s: s.neighbors, state, _stacked(grown))
+        new = np.array([unsolved(_lane(self._state, k)) for k in range(len(upkeep.going))])
+        return jnp.where(new[:, None], found.particles.pressure, self._state.particles.pressure)
 
     def reach(self, target: float) -> None:
         """Steps of all that are alive until the time `target` [s]; each takes those that it would take alone."""
@@ -94,6 +115,10 @@ class Lanes:
         self._time = target
         time = jnp.where(upkeep.going, jnp.asarray(target, zero.dtype), self._state.time)
         self._state = eqx.tree_at(lambda s: s.time, self._state, time)
+
+
+def _with_pressure(state: State, pressure: Any) -> State:
+    return eqx.tree_at(lambda s: s.particles.pressure, state, pressure)
 
 
 def _lane(tree: T, lane: int) -> T:

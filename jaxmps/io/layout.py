@@ -78,6 +78,9 @@ def append_step(root: Any, time: float, columns: Mapping[str, np.ndarray]) -> No
     put(steps["PointOffsets"], frame, np.array([start]))
     for name in ("PartOffsets", "NumberOfParts", "CellOffsets", "ConnectivityIdOffsets"):
         steps[name].resize(frame + 1, axis=0)
+    for name, sizes in steps.get("FieldDataSizes", {}).items():
+        put(sizes, frame, np.array([[1, len(root["FieldData"][name])]]))
+        steps["FieldDataOffsets"][name].resize(frame + 1, axis=0)
 
 
 def count_step(root: Any) -> None:
@@ -90,6 +93,16 @@ def put(dataset: Any, start: int, values: np.ndarray) -> None:
     """Writes `values` from row `start` on, and ends the dataset there."""
     dataset.resize(start + len(values), axis=0)
     dataset[start:] = values
+
+
+def put_names(root: Any, name: str, values: list[str]) -> None:
+    """Strings that hold for all steps, as field data; to a file without steps."""
+    # VTK's reader converts from ASCII only, passes on the bytes, and reads beyond the end without offsets and sizes.
+    text = np.array([value.encode() for value in values], object)
+    root.create_group("FieldData").create_dataset(name, data=text, dtype=h5py.string_dtype("ascii"))
+    steps = root["Steps"]
+    create_growing(steps.create_group("FieldDataOffsets"), name)
+    create_growing(steps.create_group("FieldDataSizes"), name, (2,))
 
 
 def create_growing(
@@ -136,3 +149,10 @@ def _create_steps(root: Any) -> None:
         offsets[name] = steps["PointOffsets"]
     for name in FIXED:
         offsets[name] = steps["PartOffsets"]
+
+
+def checked(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The values, if they have this shape; else `ValueError`."""
+    if values.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {values.shape}")
+    return values

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from jaxmps.description import UNITS
 from jaxmps.io import image as images
 from jaxmps.io import layout
+from jaxmps.results import names_of_phases
 
 FORMAT = 1
 
@@ -59,6 +60,7 @@ class Writer:
             data = file["VTKHDF/PointData"]
             data["phase"] = phase
             data["density"] = np.broadcast_to(np.asarray(density, self._dtype), phase.shape)
+            layout.put_names(file["VTKHDF"], "phase_names", names_of_phases(metadata, int(phase.max()) + 1))
             own = file.create_group("jaxmps")
             own["time"] = file["VTKHDF/Steps/Values"]
             layout.create_growing(own, "energy", (2,), np.float64)
@@ -110,12 +112,18 @@ class Writer:
             "PointData/surface": self._column("surface", surface, np.uint8),
             "PointData/kind": self._column("kind", kind, np.int8),
         }
-        energies = _checked("energy", np.asarray(energy, np.float64), (2,))
+        energies = layout.checked("energy", np.asarray(energy, np.float64), (2,))
         with layout.writing(self.path) as file:
             root = file["VTKHDF"]
             layout.put(file["jaxmps/energy"], int(root["Steps"].attrs["NSteps"]), energies[None])
             layout.append_step(root, float(time), columns)
             layout.count_step(root)
+
+    def put_pressure(self, frame: int, pressure: ArrayLike) -> None:
+        """Writes another pressure [Pa] into a frame that is there."""
+        values = self._column("pressure", pressure, self._dtype)
+        with layout.writing(self.path) as file:
+            file["VTKHDF/PointData/pressure"][frame * self._particles : (frame + 1) * self._particles] = values
 
     def finish(self, status: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
         """Writes how the run ended."""
@@ -124,18 +132,12 @@ class Writer:
             file["jaxmps"].attrs["status"] = _to_json(status)
 
     def _column(self, name: str, values: ArrayLike, dtype: DTypeLike) -> np.ndarray:
-        return _checked(name, np.asarray(values, dtype), (self._particles,))
+        return layout.checked(name, np.asarray(values, dtype), (self._particles,))
 
     def _padded(self, name: str, values: ArrayLike) -> np.ndarray:
         padded = np.zeros((self._particles, 3), self._dtype)
-        padded[:, : self._dim] = _checked(name, np.asarray(values), (self._particles, self._dim))
+        padded[:, : self._dim] = layout.checked(name, np.asarray(values), (self._particles, self._dim))
         return padded
-
-
-def _checked(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    if values.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {values.shape}")
-    return values
 
 
 def _to_json(value: Any) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxmps.plotting.colors import INK
 from jaxmps.plotting.flow import Scene
 from jaxmps.results import Run
 from jaxmps.validation import positive
@@ -68,9 +69,8 @@ def _pictures(scene: Scene, frames: Iterable[int]) -> Iterator[np.ndarray]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(scene.figure)
-    moving = (scene.fluid, scene.title)
-    flat = scene.axes.name != "3d"
-    if flat:
+    moving = scene.moving
+    if moving:
         # What stays is drawn once.
         for artist in moving:
             artist.set_animated(True)
@@ -78,7 +78,7 @@ def _pictures(scene: Scene, frames: Iterable[int]) -> Iterator[np.ndarray]:
         still = canvas.copy_from_bbox(scene.figure.bbox)
     for index in frames:
         scene.show(index)
-        if flat:
+        if moving:
             canvas.restore_region(still)
             for artist in moving:
                 scene.axes.draw_artist(artist)
@@ -88,11 +88,13 @@ def _pictures(scene: Scene, frames: Iterable[int]) -> Iterator[np.ndarray]:
 
 
 def _palette(colormap: Any) -> np.ndarray:
-    """The color map, fading into white, and greys: one palette, so that nothing flickers."""
+    """The color map, fading into white, greys, and that of probes: one palette, so that nothing flickers."""
+    from matplotlib.colors import to_rgb
+
     hues = 255.0 * colormap(np.linspace(0.0, 1.0, 48))[:, :3]
     faded = [hues + (255.0 - hues) * part for part in (0.0, 0.5)]
     greys = np.repeat(np.linspace(0.0, 255.0, 24)[:, None], 3, axis=1)
-    return np.concatenate([*faded, greys]).round().astype(np.uint8)
+    return np.concatenate([*faded, greys, 255.0 * np.array([to_rgb(INK)])]).round().astype(np.uint8)
 
 
 def _nearest(colors: np.ndarray) -> np.ndarray:

@@ -11,9 +11,10 @@ from jaxmps.validation import number, one_of
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
 
-WALL, DUMMY = "#7d828a", "#ced1d6"
+WALL, DUMMY, INK = "#7d828a", "#ced1d6", "#c0392b"  # INK: of probes
 _WATER, _CREST, _AMBER, _GREEN, _PURPLE = "#2f7fc1", "#f2a541", "#e0a030", "#3c9d6b", "#8a63b0"
 _MOST_FRAMES = 40  # percentiles of more frames take long, and say the same
+_SIGNED = 0.01  # of the largest pressure: less tension than that is noise, and no reason for another scale
 
 
 class Quantity(NamedTuple):
@@ -23,6 +24,7 @@ class Quantity(NamedTuple):
     values: Callable[[Run, int], np.ndarray]
     colormap: Callable[[], "Colormap"]
     classes: Callable[[Run], list[str]] | None = None
+    signed: bool = False
 
 
 def quantity(color: str) -> Quantity:
@@ -33,9 +35,11 @@ def quantity(color: str) -> Quantity:
 def scale(run: Run, shown: Quantity, limits: tuple[float, float] | None, frames: range) -> Any:
     """The color map, the norm, and at which ends values lie outside: arguments of a color bar.
 
-    `limits`: values at the ends; by default 1st and 99th percentile in the fluid, over `frames`.
+    `limits`: values at the ends; by default 1st and 99th percentile in the fluid, over `frames`. A quantity with a sign
+    that has both of them in that range gets colors that part at zero, and ends that are equally far from it.
     """
-    from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
+    from matplotlib import colormaps
+    from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize, TwoSlopeNorm
 
     colormap = shown.colormap()
     if shown.classes is not None:
@@ -50,12 +54,17 @@ def scale(run: Run, shown: Quantity, limits: tuple[float, float] | None, frames:
         low, high = (float(x) for x in np.percentile(values, [1.0, 99.0]))
         low = min(low, 0.0) if shown.label.startswith(("pressure", "speed")) else low
         high = high if high > low else low + 1.0
+        signed = shown.signed and low < -_SIGNED * abs(high)
+        low, high = (-max(-low, high), max(-low, high)) if signed else (low, high)
     else:
         low, high = (number("limits", x) for x in limits)
         if low >= high:
             raise ValueError(f"limits must be two rising numbers, got {low:g} and {high:g}")
+        signed = shown.signed and low < 0.0 < high
     below, above = bool(values.min() < low), bool(values.max() > high)
     extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
+    if signed:  # both halves in full, also between limits that are not equally far from zero
+        return colormaps["coolwarm"], TwoSlopeNorm(0.0, low, high), extend
     return colormap, Normalize(low, high), extend
 
 
@@ -103,12 +112,8 @@ def _listed(*colors: str) -> Callable[[], "Colormap"]:
     return colormap
 
 
-def _phases(run: Run) -> list[str]:
-    return [f"phase {i}" for i in range(int(run.phase.max()) + 1)]
-
-
 _QUANTITIES = {
-    "pressure": Quantity("pressure [Pa]", lambda run, k: run.pressure[k], water),
+    "pressure": Quantity("pressure [Pa]", lambda run, k: run.pressure[k], water, signed=True),
     # Fast water is pale, as foam is.
     "speed": Quantity(
         "speed [m/s]",
@@ -119,7 +124,7 @@ _QUANTITIES = {
         "phase",
         lambda run, k: run.phase,
         _listed(_WATER, _AMBER, _GREEN, _PURPLE),
-        _phases,
+        lambda run: run.phase_names,
     ),
     "number_density": Quantity("number density [–]", lambda run, k: run.number_density[k], _named("viridis")),
     "kind": Quantity(

@@ -1,7 +1,7 @@
 """What a run looked like where it failed."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _MARK = "#d1422b"
 def failure(run: Run, color: str = "speed") -> "Figure":
     """The last good frame around the particle at which a run failed, which is marked.
 
-    Walls are drawn in 2-D only. `color` is one of `COLORS`. Raises `ValueError` for a run that did not fail.
+    `color` is one of `COLORS`. Raises `ValueError` for a run that did not fail.
     """
     event = run.status.fatal
     if event is None or event.particle is None or not len(run):
@@ -29,12 +29,11 @@ def failure(run: Run, color: str = "speed") -> "Figure":
     reach = _REACH[run.position.shape[2]] * run.spacing
     far = np.any(np.abs(last["position"][0] - place) > reach, axis=1)
     last["kind"][0, far] = Kind.REMOVED
-    scene = Scene(dataclasses.replace(run, **last), color, None, range(1))
+    scene = Scene(dataclasses.replace(run, **last), color, None, range(1), probes=False)
     scene.show(0)
-    ax: Any = scene.axes
-    ax.plot(*place[:, None], ls="none", marker="o", ms=16.0, mfc="none", mec=_MARK, mew=2.0, zorder=5)
+    scene.mark(place, _MARK)
     cause = MESSAGES[Status(event.status)].split(":")[0]
-    ax.set_title(f"{cause}: particle {event.particle}, t = {event.time:.6g} s", loc="left", fontsize=11, color=_MARK)
+    scene.title.set(text=f"{cause}: particle {event.particle}, t = {event.time:.6g} s", color=_MARK)
     return scene.figure
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxmps.flow import Kind
 from jaxmps.plotting.flow import Scene, heading, new_figure
 from jaxmps.results import Run
 from jaxmps.validation import positive
@@ -32,7 +33,7 @@ def panels(
     """
     if any(run.position.shape[2] != 2 for run in runs):
         raise ValueError(f"runs must be in 2-D, got {[run.position.shape[2] for run in runs]} dimensions")
-    left, right, bottom, top = _tank(runs[0]) if extent is None else extent
+    left, right, bottom, top = _tank(runs[0], times) if extent is None else extent
     height = _WIDTH * (top - bottom) / (right - left)
     figure = new_figure(_WIDTH * len(times) + 1.3, (height + 0.45) * len(runs) + 0.5)
     grid: Any = figure.subplots(len(runs), len(times), squeeze=False, sharex=True, sharey=True)
@@ -40,7 +41,7 @@ def panels(
     for run, row in zip(runs, grid, strict=True):
         for time, ax in zip(times, row, strict=True):
             index = int(np.argmin(np.abs(run.time - time)))
-            scene = Scene(run, color, limits, range(index, index + 1), ax, bar=ax is row[-1])
+            scene = Scene(run, color, limits, range(index, index + 1), ax, bar=ax is row[-1], probes=False)
             scene.show(index)
             missed = time - run.time[index] > 1e-6 + 0.5 * np.diff(run.time, prepend=-1.0).min()
             ended = f"ended at t = {run.time[index]:.2f} s" if missed else f"t = {run.time[index]:.2f} s"
@@ -51,9 +52,15 @@ def panels(
     return figure
 
 
-def _tank(run: Run) -> tuple[float, float, float, float]:
-    """Corners of all particles of the first frame, walls included, and of the fluid of the last one [m]."""
-    seen = np.concatenate([run.position[0], run.position[-1][run.fluid[-1]]])
+def _tank(run: Run, times: Sequence[float]) -> tuple[float, float, float, float]:
+    """Corners of all particles of the first frame, walls included, of the walls at the `times` [s], which may move, and
+    of the fluid of the last frame [m].
+    """
+    places = [run.position[0], run.position[-1][run.fluid[-1]]]
+    for time in times:
+        index = int(np.argmin(np.abs(run.time - time)))
+        places.append(run.position[index][np.isin(run.kind[index], (Kind.WALL, Kind.DUMMY))])
+    seen = np.concatenate(places)
     (left, bottom), (right, top) = seen.min(axis=0) - run.spacing, seen.max(axis=0) + run.spacing
     return left, right, bottom, top
 

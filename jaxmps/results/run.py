@@ -1,5 +1,6 @@
 """What a run gives back: its frames, as plain host arrays, and how it went."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -61,6 +62,11 @@ class Run:
         """Which particles are fluid, in each frame: (m, n) bool."""
         return self.kind == Kind.FLUID
 
+    @property
+    def phase_names(self) -> list[str]:
+        """Names of the phases, as the case has them (`fluids` of its metadata); else "phase 0" and so on."""
+        return names_of_phases(self.metadata, int(self.phase.max(initial=0)) + 1)
+
     def __len__(self) -> int:
         """How many frames there are."""
         return len(self.time)
@@ -111,3 +117,11 @@ def _name(metadata: dict[str, Any], key: str) -> str:
     if isinstance(described, dict):
         described = described.get("name")
     return described if isinstance(described, str) else f"unnamed {key}"
+
+
+def names_of_phases(metadata: Mapping[str, Any], count: int) -> list[str]:
+    """The names of `count` phases in a run's metadata, made up where there are none."""
+    case = metadata.get("case")
+    given = case.get("fluids") if isinstance(case, dict) else None
+    names = [str(name) for name in given] if isinstance(given, list | tuple) else []
+    return [names[k] if k < len(names) and names[k] else f"phase {k}" for k in range(count)]

@@ -47,6 +47,9 @@ def dataset(run: Any) -> Any:
     # The CF conventions' way to say what numbers mean.
     meanings = " ".join(kind.name.lower() for kind in Kind)
     variables["kind"][2].update(flag_values=np.array(list(Kind), np.int8), flag_meanings=meanings)
+    # Meanings are parted by spaces, which the names themselves therefore must not have.
+    names = ["_".join(name.split()) for name in run.phase_names]
+    variables["phase"][2].update(flag_values=np.arange(len(names), dtype=np.int32), flag_meanings=" ".join(names))
     variables["spacing"] = ((), run.spacing, {"units": UNITS["spacing"]})
     coordinates = {
         "time": ("time", run.time, {"units": UNITS["time"]}),
@@ -66,6 +69,7 @@ def cloud(run: Any, frame: int) -> Any:
         made.point_data[name] = padded(values) if values.ndim == 2 else values
     # Under this name VTK's own readers look for it.
     made.field_data["TimeValue"] = np.array([run.time[frame]], np.float64)
+    made.field_data["phase_names"] = run.phase_names
     made.field_data["spacing"] = np.array([run.spacing], np.float64)
     return made
 

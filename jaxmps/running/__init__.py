@@ -12,6 +12,7 @@ from jaxmps.running.progress import Meter as Meter
 from jaxmps.running.progress import counter as counter
 from jaxmps.running.progress import tally as tally
 from jaxmps.running.recorder import fields as fields
+from jaxmps.running.recorder import unsolved as unsolved
 from jaxmps.running.rescue import ON_BLOWUP as ON_BLOWUP
 from jaxmps.running.restart import resume as resume
 from jaxmps.running.rollout import rollout as rollout

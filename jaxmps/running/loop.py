@@ -97,29 +97,49 @@ class Loop:
         self._carry = state, timer._replace(largest=0.5 * timer.largest), log
         self._upkeep.note(0, event)
 
+    def first_pressure(self, target: float, bar: Meter) -> Array:
+        """Pressure [Pa] that the first step towards the time `target` [s] finds; the loop itself takes none.
+
+        The step is the run's own, made by the same program. One that fails leaves the pressure as it is.
+        """
+        ahead = Loop(self.case, self.scheme, self.state, self.dt, self.key)
+        ahead._upkeep.steps = 1
+        ahead._turn(target)
+        while not int(ahead.log.steps) and ahead._upkeep.going[0]:
+            ahead._chunk(bar)
+        return ahead.state.particles.pressure
+
     def reach(self, target: float, bar: Meter, look: Callable[[], None] = lambda: None) -> None:
         """Steps until the time `target` [s], or to the last good state before a failure.
 
         Before each chunk it calls `look`, which may keep a snapshot.
         """
+        self._turn(target)
+        while float(self._carry[1].elapsed) < float(self._carry[1].duration):
+            look()
+            began = clock.perf_counter()
+            self._chunk(bar)
+            if not self._upkeep.going[0]:
+                return
+            self._upkeep.pace(clock.perf_counter() - began, _CHUNK_SECONDS)
+        self._set(lambda s: s.time, jnp.asarray(target, self.state.time.dtype))
+
+    def _turn(self, target: float) -> None:
+        """Sets the clock for the time `target` [s], unless the loop is on its way."""
         state, timer, log = self._carry
         if float(timer.elapsed) >= float(timer.duration):
             zero = jnp.zeros_like(state.time)
             self._carry = state, Clock(zero + (target - float(state.time)), zero, zero, timer.largest), log
-        while float(self._carry[1].elapsed) < float(self._carry[1].duration):
-            look()
-            began = clock.perf_counter()
-            steps = jnp.asarray(self._upkeep.steps)
-            self._carry, status = _advance(self.case, self.scheme, self._carry, self.dt, self.key, steps)
-            state, timer, log = self._carry
-            bar.update(float(state.time), float(timer.dt), float(log.max_speed))
-            grown = self._upkeep.after(np.asarray(status)[None], lambda _: self.state)
-            if not self._upkeep.going[0]:
-                return
-            if grown is not None:
-                self._set(lambda s: s.neighbors, grown[0])
-            self._upkeep.pace(clock.perf_counter() - began, _CHUNK_SECONDS)
-        self._set(lambda s: s.time, jnp.asarray(target, self.state.time.dtype))
+
+    def _chunk(self, bar: Meter) -> None:
+        """Some steps, and what the host has to do after them."""
+        steps = jnp.asarray(self._upkeep.steps)
+        self._carry, status = _advance(self.case, self.scheme, self._carry, self.dt, self.key, steps)
+        state, timer, log = self._carry
+        bar.update(float(state.time), float(timer.dt), float(log.max_speed))
+        grown = self._upkeep.after(np.asarray(status)[None], lambda _: self.state)
+        if grown is not None:
+            self._set(lambda s: s.neighbors, grown[0])
 
     def _set(self, where: Callable[[State], Any], value: Any) -> None:
         state, timer, log = self._carry

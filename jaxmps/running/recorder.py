@@ -1,7 +1,7 @@
 """Keeps the frames of a run, in memory or in a file, and makes the `Run`."""
 
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,11 @@ def fields(state: State) -> dict[str, Array]:
         "surface": state.surface,
         "kind": p.kind,
     }
+
+
+def unsolved(state: State) -> bool:
+    """Whether no pressure has been solved for, or given."""
+    return int(state.step) == 0 and not np.any(np.asarray(state.particles.pressure))
 
 
 class Recorder:
@@ -104,6 +109,18 @@ class Recorder:
             self._writer.append(**frame)
         self._times.append(time)
         self._energies.append(float(frame["energy"].sum()))
+
+    def complete(self, state: State, pressure: Callable[[], Array]) -> None:
+        """Gives the first frame the `pressure` [Pa] of the first solve, if it has none yet: none was solved for before
+        it. A case or a state that brings its own pressure keeps that.
+        """
+        if len(self._times) != 1 or not unsolved(state):
+            return
+        found = np.asarray(pressure())
+        if self._writer is None:
+            self._frames[0]["pressure"] = found
+        else:
+            self._writer.put_pressure(0, found)
 
     def finish(self, state: State, log: Log, outcome: Outcome) -> Run:
         """The run, with its summary."""

@@ -46,7 +46,8 @@ def simulate(
     """Runs a case up to the time `until` [s] and returns the frames saved at every `save_every` [s].
 
     Steps are as large as the scheme allows, or `dt` [s], shortened evenly to meet the times of the frames. A neighbor
-    table that is too small is enlarged and the step repeated. With `out` the frames go to a VTKHDF file as they are
+    table that is too small is enlarged and the step repeated. The frame of the start has the pressure that the first
+    step finds, unless case or state bring their own. With `out` the frames go to a VTKHDF file as they are
     made; an existing file is replaced only with `overwrite`. A run that fails keeps all frames and its last good
     state; `Run.status` says what happened, and `run.status.check()` raises `SimulationError`. Ctrl-C ends a run in the
     same way. `start` carries on from another state, which `mps.start` makes of a frame of a run, too. With
@@ -108,6 +109,8 @@ def march(
     loop = rescue.loop
     with meter(times[-1], progress, float(loop.state.time)) as bar:
         try:
+            if first == 1:
+                recorder.complete(loop.state, lambda: loop.first_pressure(times[1], bar))
             for frame in range(first, len(times)):
                 look = (lambda: None) if checkpoints is None else partial(checkpoints.look, frame)
                 rescue.reach(times[frame], bar, look)
