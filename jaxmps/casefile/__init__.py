@@ -3,6 +3,7 @@
 from jaxmps.casefile.checks import Report as Report
 from jaxmps.casefile.checks import check as check
 from jaxmps.casefile.drawing import draw as draw
+from jaxmps.casefile.leaving import leaving as leaving
 from jaxmps.casefile.models import RunTable as RunTable
 from jaxmps.casefile.parsing import CaseFileError as CaseFileError
 from jaxmps.casefile.setup import CaseFile as CaseFile

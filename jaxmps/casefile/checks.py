@@ -6,6 +6,7 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
+from jaxmps.casefile.leaving import leaving
 from jaxmps.casefile.memory import file_size, memory
 from jaxmps.casefile.plane import CLOSE
 from jaxmps.casefile.setup import Setup
@@ -53,7 +54,11 @@ def check(setup: Setup) -> Report:
         "compiling": f"about {_duration(_COMPILING[case.dim])} before the first step, {two_cores}; later runs of this "
         "case find it done",
     }
-    return Report(content, expected, (*_close(setup), *_behind(setup), *_misfits(setup), *_dry(setup)))
+    gone = leaving(setup)
+    left = [] if gone is None else [str(gone)]
+    return Report(
+        content, expected, (*left, *_close(setup), *_behind(setup), *_thin(setup), *_misfits(setup), *_dry(setup))
+    )
 
 
 def _corner(point: tuple[float, ...]) -> str:
@@ -126,6 +131,19 @@ def _behind(setup: Setup) -> list[str]:
         return []
     place = _corner(tuple(fluid[back][0]))
     return [f"{back.sum()} fluid particles touch a wall from behind, where it has no pressure, first at {place} m"]
+
+
+def _thin(setup: Setup) -> list[str]:
+    """Obstacles so thin that fluid on one side has neighbors on the other."""
+    if setup.layout is None:
+        return []
+    spacing, ratio = setup.case.spacing, setup.scheme.ratio
+    return [
+        f"wall {index} is {thick:.3g} m thick: fluid on one side feels that on the other; as a plate it would be thick "
+        "enough"
+        for index, thick in enumerate(setup.layout.thickness, 1)
+        if thick + spacing < ratio * spacing * (1.0 - 1e-6)
+    ]
 
 
 def _misfits(setup: Setup) -> list[str]:

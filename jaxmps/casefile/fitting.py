@@ -1,5 +1,6 @@
 """Whether everything in a file of an own geometry fits together: dimensions, shapes, sides, and room in the box."""
 
+import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -7,12 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 
-from jaxmps.casefile import plane, solid
+from jaxmps.casefile import meshes, plane
 from jaxmps.casefile.models import OwnFile
 from jaxmps.casefile.parsing import CaseFileError
 from jaxmps.casefile.shapes import Body, Shape
 from jaxmps.flow import Box
 
+MOST_CELLS = 30_000_000
+"""Around a shape: there is no device with room for as many particles, and the case alone would take gigabytes."""
 _SHAPES = {2: ("polygon", "box", "circle"), 3: ("box", "sphere", "stl")}
 
 
@@ -29,7 +32,7 @@ class Shapes(NamedTuple):
     bounds: list[Any]
 
 
-def checked(file: OwnFile, path: Path, dim: int) -> Shapes:
+def checked(file: OwnFile, path: Path, dim: int, spacing: float) -> Shapes:
     """Polygons or meshes of all shapes (None for a polyline), once everything in the file fits together."""
     faults: list[str] = []
 
@@ -53,14 +56,18 @@ def checked(file: OwnFile, path: Path, dim: int) -> Shapes:
                 rule = "a vector [rad/s] in 3-D" if dim == 3 else "a number [rad/s] in 2-D"
                 faults.append(f"{where}: rotation must be {rule}, got {spin}")
         if shape.kind == "polyline" and dim == 2:
+            line = getattr(shape, "polyline", [])
+            if not any(fault.startswith(f"{where}:") for fault in faults):
+                with attempted(where, faults):
+                    check_size("polyline", np.array([np.min(line, axis=0), np.max(line, axis=0)]), spacing)
             return None
         if shape.kind not in _SHAPES[dim]:
             faults.append(f"{where}: {shape.kind} must be one of {', '.join(_SHAPES[dim])} in {dim}-D")
         elif not any(fault.startswith(f"{where}:") for fault in faults):
-            try:
-                return plane.outline(shape) if dim == 2 else solid.mesh(shape, path.parent)
-            except ValueError as error:
-                faults.append(f"{where}: {error}")
+            with attempted(where, faults):
+                found = plane.outline(shape) if dim == 2 else meshes.solid(shape, path.parent)
+                check_size(shape.kind, np.reshape(found.bounds, (2, dim)), spacing)
+                return found
         return None
 
     vectors("[case]", lower=file.case.lower, upper=file.case.upper)
@@ -92,6 +99,28 @@ def _check_probes(file: Any, dim: int, vectors: Callable[..., None], faults: lis
         vectors(where, point=getattr(probe, "point", None), segment=getattr(probe, "segment", None))
         if probe.kind == "wave_gauge" and (probe.y is not None) != (dim == 3):
             faults.append(f"{where}: y must be given in 3-D, and in 3-D only, got {probe.y}")
+
+
+@contextlib.contextmanager
+def attempted(where: str, faults: list[str]) -> Iterator[None]:
+    """A `ValueError` in it becomes one of the faults of the table `where`."""
+    try:
+        yield
+    except ValueError as error:
+        faults.append(f"{where}: {error}")
+
+
+def check_size(kind: str, corners: np.ndarray, spacing: float) -> None:
+    """`ValueError` for a shape with more cells in the box around it than any device has room for particles."""
+    sizes = corners[1] - corners[0]
+    if np.prod(np.maximum(sizes / spacing, 1.0)) <= MOST_CELLS:
+        return
+    large, cells = (" x ".join(f"{x:.3g}" for x in values) for values in (sizes, sizes / spacing))
+    hint = "; a file in millimeters needs scale = 0.001" if kind == "stl" else ""
+    raise ValueError(
+        f"{kind} must be at most {MOST_CELLS:.0e} spacings in all large, got {large} m, which is {cells} spacings of "
+        f"{spacing:g} m: take a larger spacing or a smaller {'scale' if kind == 'stl' else kind}{hint}"
+    )
 
 
 def check_inside(path: Path, box: Box, position: np.ndarray, counts: list[int], file: OwnFile) -> None:

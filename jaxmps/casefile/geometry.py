@@ -13,31 +13,45 @@ from jaxmps.casefile.fitting import Shapes, bodies, check_inside, checked
 from jaxmps.casefile.models import OwnFile
 from jaxmps.casefile.motion import motion
 from jaxmps.casefile.parsing import CaseFileError, attributed
+from jaxmps.casefile.plates import obstacles, with_plates
 from jaxmps.casefile.shapes import Body, Wall
 from jaxmps.cases.lattice import dummy_layers, materials
 from jaxmps.flow import Box, Case, Kind, at_rest
 
 
 class Layout(NamedTuple):
-    """Particles of a geometry: fluid of each body, which particles of it walls displaced, and walls with layers.
+    """Particles of a geometry: fluid of each body, and walls with their layers and the number of the wall of each.
 
-    `asked` is the area [m²] or volume [m³] of each body that is to be filled.
+    `asked` is the area [m²] or volume [m³] of each body that is to be filled, `thickness` [m] that of each obstacle;
+    other walls have an infinite one.
     """
 
     bodies: list[np.ndarray]
     asked: list[float]
     wall: np.ndarray
     layer: np.ndarray
+    owner: np.ndarray
+    thickness: tuple[float, ...] = ()
 
 
 def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None) -> tuple[Case, Layout]:
     """The case of the file, with `spacing` [m] instead of its own if given. Raises `CaseFileError`."""
     spacing = file.case.spacing if spacing is None else spacing
     dim = len(file.case.gravity)
-    shapes = checked(file, path, dim)
+    file = with_plates(file, path, ratio, spacing)
+    shapes = checked(file, path, dim, spacing)
+    thickness = obstacles(file, path, shapes.wall, spacing)
     counts = [_layers(wall, ratio, spacing) for wall in file.wall]
     arrange = _in_plane if dim == 2 else _in_space
-    layout = arrange(file, shapes, counts, spacing)
+    layout = attributed(path, "[case]", lambda: arrange(file, shapes, counts, spacing))._replace(thickness=thickness)
+    faults = [
+        f"[[wall]] {index}: must have room for a particle at the spacing {spacing:g} m, got none: it is small, lies in "
+        "other walls, or is open on all sides"
+        for index in range(1, len(file.wall) + 1)
+        if not np.any(layout.owner == index - 1)
+    ]
+    if faults:
+        raise CaseFileError(path, faults)
     for (where, _), points in zip(bodies(file), layout.bodies, strict=True):
         if not len(points):
             raise CaseFileError(
@@ -91,7 +105,7 @@ def _in_plane(file: OwnFile, shapes: Shapes, counts: list[int], spacing: float) 
         anchors.append(anchors[touching[0]] if touching else np.array(room.bounds[:2]))
         placed.append(plane.fill(room, spacing, anchors[k], walls.position))
     asked = [_left(room, rooms[k + 1 :]).area for k, room in enumerate(rooms)]
-    return _without_overlap(placed, asked, walls.position, walls.layer, spacing)
+    return _without_overlap(placed, asked, walls.position, walls.layer, walls.owner, spacing)
 
 
 def _left(room: Any, later: list[Any]) -> Any:
@@ -101,35 +115,43 @@ def _left(room: Any, later: list[Any]) -> Any:
 def _in_space(file: OwnFile, shapes: Shapes, counts: list[int], spacing: float) -> Layout:
     outside = [mesh for table, mesh in zip(file.wall, shapes.wall, strict=True) if table.side == "outside"]
     anchor = (outside or shapes.fluid)[0].bounds[0]
-    most = max(counts, default=0)
-    grid = solid.grid_around([*shapes.fluid, *shapes.wall], anchor, (most + 1) * spacing, spacing)
-    reach = (most + 1) * spacing
+    reach = (max(counts, default=0) + 1) * spacing
+    grid = solid.grid_around([*shapes.fluid, *shapes.wall], anchor, reach, spacing)
     depth = [solid.depths(mesh, grid, reach) for mesh in shapes.wall]
-    layer, occupied, outside_tanks = solid.wall_layers(file.wall, shapes.wall, depth, counts, grid)
+    walls = solid.wall_layers(file.wall, [mesh.bounds for mesh in shapes.wall], depth, counts, grid)
     position, placed, asked = grid.middles, [], []
-    inside = [solid.fill(solid.depths(mesh, grid, spacing), mesh, spacing) for mesh in shapes.fluid]
-    for k, (cells, mesh) in enumerate(zip(inside, shapes.fluid, strict=True)):
-        free = cells & ~occupied
+    sizes = [solid.volume(mesh, spacing) for mesh in shapes.fluid]
+    inside = [
+        solid.fill(solid.depths(mesh, grid, spacing), size, spacing)
+        for mesh, size in zip(shapes.fluid, sizes, strict=True)
+    ]
+    for k, (cells, size) in enumerate(zip(inside, sizes, strict=True)):
+        free = cells & ~walls.solid
         if inside[k + 1 :]:
             free &= ~np.any(inside[k + 1 :], axis=0)
-        if np.any(free & ~outside_tanks):
-            free &= ~outside_tanks
+        if np.any(free & ~walls.without):
+            free &= ~walls.without
         placed.append(position[free])
         # What walls and later bodies take of it is known as cells only.
-        asked.append(float(mesh.volume) - spacing**3 * np.sum(cells & ~free))
-    walls = layer >= 0
-    return _without_overlap(placed, asked, position[walls], layer[walls], spacing)
+        asked.append(size - spacing**3 * float(np.sum(cells & ~free)))
+    there = walls.layer >= 0
+    return _without_overlap(placed, asked, position[there], walls.layer[there], walls.owner[there], spacing)
 
 
 def _without_overlap(
-    placed: list[np.ndarray], asked: list[float], wall: np.ndarray, layer: np.ndarray, spacing: float
+    placed: list[np.ndarray],
+    asked: list[float],
+    wall: np.ndarray,
+    layer: np.ndarray,
+    owner: np.ndarray,
+    spacing: float,
 ) -> Layout:
     """Of two fluid particles too close to one another that of the later body stays; walls stay in any case."""
     order = [wall, *placed[::-1]]
     keep = plane.apart(np.concatenate(order), plane.CLOSE * spacing)
     parts = np.split(keep, np.cumsum([len(points) for points in order])[:-1])
     fluid = [points[kept] for points, kept in zip(placed, parts[:0:-1], strict=True)]
-    return Layout(fluid, asked, wall[parts[0]], layer[parts[0]])
+    return Layout(fluid, asked, wall[parts[0]], layer[parts[0]], owner[parts[0]])
 
 
 def _velocity(body: Body, points: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import math
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -15,17 +15,22 @@ from jaxmps.casefile.shapes import Wall
 from jaxmps.cases.lattice import lattice_points
 
 _VOID = 0.8  # [spacings] a place in a wall that is farther than this from all particles is to have one
+_MOST = 2_000_000  # places that are looked at together
 _CORNER = math.radians(30.0)  # a path that turns by more has a corner, which gets a particle
 _MITRE = {"join_style": "mitre", "mitre_limit": 5.0}
 
 
+Placed: TypeAlias = tuple[np.ndarray, np.ndarray, int]  # particles [m], the number of the wall of each, their layer
+
+
 class Walls(NamedTuple):
-    """Wall particles [m], the layer of each from 0 at the fluid's side, the region that they stand in, and the tanks
-    with all that is beyond their open sides.
+    """Wall particles [m], the layer of each from 0 at the fluid's side, the number of its wall, the region that they
+    stand in, and the tanks with all that is beyond their open sides.
     """
 
     position: np.ndarray
     layer: np.ndarray
+    owner: np.ndarray
     solid: BaseGeometry
     tanks: BaseGeometry
     open: BaseGeometry
@@ -43,22 +48,27 @@ def walls(tables: list[Wall], counts: list[int], spacing: float, around: BaseGeo
     Tanks without the obstacles in them are one region: its offset curves at (k + ½) l0 carry the particles, with mitred
     corners, evenly about one spacing apart. Polylines have theirs on one side.
     """
-    placed: list[tuple[np.ndarray, int]] = []
+    placed: list[Placed] = []
     solids: list[BaseGeometry] = []
     closed = [(t, outline(t), n) for t, n in zip(tables, counts, strict=True) if t.polyline is None]
     if closed:
-        placed, solid = _around_region(closed, spacing, around)
+        numbers = np.array([k for k, table in enumerate(tables) if table.polyline is None])
+        found, solid = _around_region(closed, spacing, around)
+        placed = [(points, numbers[owner], layer) for points, owner, layer in found]
         solids.append(solid)
-    for table, count in zip(tables, counts, strict=True):
+    for number, (table, count) in enumerate(zip(tables, counts, strict=True)):
         if table.polyline is not None:
             line, sign = LineString(table.polyline), 1.0 if table.side == "left" else -1.0
             solids.append(line.buffer(sign * count * spacing, single_sided=True, join_style="mitre"))
             for k in range(count):
                 curve = shapely.offset_curve(line, sign * (k + 0.5) * spacing, **_MITRE)
-                placed += [(_along(np.asarray(part.coords), spacing), k) for part in shapely.get_parts(curve)]
-    placed.sort(key=lambda entry: entry[1])  # where walls meet, the layer at the fluid stays
-    position = np.concatenate([points for points, _ in placed] or [np.zeros((0, 2))])
-    layer = np.concatenate([np.full(len(points), k) for points, k in placed] or [np.zeros(0, int)])
+                for part in shapely.get_parts(curve):
+                    points = _along(np.asarray(part.coords), spacing)
+                    placed.append((points, np.full(len(points), number), k))
+    placed.sort(key=lambda entry: entry[2])  # where walls meet, the layer at the fluid stays
+    position = np.concatenate([points for points, *_ in placed] or [np.zeros((0, 2))])
+    owner = np.concatenate([numbers for _, numbers, _ in placed] or [np.zeros(0, int)])
+    layer = np.concatenate([np.full(len(points), k) for points, _, k in placed] or [np.zeros(0, int)])
     keep = apart(position, CLOSE * spacing)
     tanks = [(t, shape) for t, shape, _ in closed if t.side == "outside"]
     everything = shapely.union_all([around, *(shape for _, shape in tanks)]).envelope.buffer(
@@ -66,13 +76,18 @@ def walls(tables: list[Wall], counts: list[int], spacing: float, around: BaseGeo
     )
     opened = shapely.union_all([_opening(t, shape, everything) for t, shape in tanks])
     return Walls(
-        position[keep], layer[keep], shapely.union_all(solids), shapely.union_all([s for _, s in tanks]), opened
+        position[keep],
+        layer[keep],
+        owner[keep],
+        shapely.union_all(solids),
+        shapely.union_all([s for _, s in tanks]),
+        opened,
     )
 
 
 def _around_region(
     closed: list[tuple[Wall, Polygon, int]], spacing: float, around: BaseGeometry
-) -> tuple[list[tuple[np.ndarray, int]], BaseGeometry]:
+) -> tuple[list[Placed], BaseGeometry]:
     most = max(count for *_, count in closed)
     tanks = [shape for table, shape, _ in closed if table.side == "outside"]
     obstacles = shapely.union_all([shape for table, shape, _ in closed if table.side == "inside"])
@@ -92,17 +107,20 @@ def _around_region(
             there = k < layers[nearest]
             for index, (table, shape, _) in enumerate(closed):
                 there &= (nearest != index) | ~beyond(points, table.open, np.reshape(shape.bounds, (2, 2)))
-            placed.append((points[there], k))
+            placed.append((points[there], nearest[there], k))
     band = region.buffer(most * spacing, **_MITRE).difference(region)
     for table, shape, _ in closed:
         band = band.difference(_opening(table, shape, universe))
     if not tanks:
         band = band.intersection(obstacles)
-    points = _voids(band, np.concatenate([points for points, _ in placed]), spacing)
+    points = _voids(band, np.concatenate([np.zeros((0, 2)), *(points for points, *_ in placed)]), spacing)
     away = np.array([shapely.distance(edge, shapely.points(points)) for edge in edges]) / spacing
     nearest, depth = np.argmin(away, axis=0), np.min(away, axis=0)
     deep = (depth >= 1.0) & (depth < layers[nearest])
-    placed += [(point[None], int(k)) for point, k in zip(points[deep], depth[deep], strict=True)]
+    placed += [
+        (point[None], np.array([n]), int(k))
+        for point, n, k in zip(points[deep], nearest[deep], depth[deep], strict=True)
+    ]
     return placed, shapely.union_all([band, obstacles])
 
 
@@ -110,9 +128,14 @@ def _voids(band: BaseGeometry, there: np.ndarray, spacing: float) -> np.ndarray:
     """Particles for the room that is left between layers from two sides, such as in the middle of a thin wall."""
     low, high = np.reshape(band.bounds, (2, 2))
     count = np.ceil((high - low) / (0.25 * spacing)).astype(int) + 1
-    points = low + 0.25 * spacing * lattice_points(*map(range, count))
-    points = points[np.isinf(KDTree(there).query(points, distance_upper_bound=_VOID * spacing)[0])]
-    points = points[shapely.contains_xy(band, *points.T)]
+    tree, found = KDTree(there), []
+    for columns in np.array_split(np.arange(count[0]), math.ceil(float(count[0]) * count[1] / _MOST)):
+        if len(columns):
+            points = lattice_points(range(columns[0], columns[-1] + 1), range(count[1]))
+            points = low + 0.25 * spacing * points
+            points = points[np.isinf(tree.query(points, distance_upper_bound=_VOID * spacing)[0])]
+            found.append(points[shapely.contains_xy(band, *points.T)])
+    points = np.concatenate(found)
     farthest = np.argsort(-np.round(KDTree(there).query(points)[0] / spacing, 6), kind="stable")
     return points[farthest][apart(points[farthest], _VOID * spacing)]
 

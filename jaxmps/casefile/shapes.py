@@ -56,13 +56,17 @@ class Body(Shape):
 
 
 class Wall(Shape):
-    """`[[wall]]`: layers of particles outside of a shape (a tank), inside of it (an obstacle), or along a polyline."""
+    """`[[wall]]`: layers of particles outside of a shape (a tank), inside of it (an obstacle), or along a polyline.
+
+    A `plate` is a box or a polyline made as thick as it must be to part what is on its two sides.
+    """
 
     polyline: Annotated[list[Vector], Field(min_length=2)] | None = None
     side: Literal["outside", "inside", "left", "right"] | None = None
     layers: Annotated[int, Field(ge=1)] | None = None
     thickness: Length | None = None
     open: list[Side] = []
+    plate: bool = False
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:
@@ -70,9 +74,13 @@ class Wall(Shape):
 
     @model_validator(mode="after")
     def _sides(self):
+        if self.plate and self.kind not in ("box", "polyline"):
+            raise ValueError(f"plate must be given with a box or a polyline, got a {self.kind}")
         sides = ("left", "right") if self.polyline is not None else ("outside", "inside")
-        if self.side not in sides:
-            raise ValueError(f"side must be {' or '.join(sides)} for a {self.kind}, got {self.side or 'none'}")
+        sides = (sides if self.polyline is not None else ("inside",)) if self.plate else sides
+        if self.side not in sides and not (self.plate and self.side is None):
+            what = "plate" if self.plate else self.kind
+            raise ValueError(f"side must be {' or '.join(sides)} for a {what}, got {self.side or 'none'}")
         if self.layers is not None and self.thickness is not None:
             raise ValueError(f"must have layers or thickness, got both: {self.layers} and {self.thickness:g} m")
         if self.open and self.side != "outside":

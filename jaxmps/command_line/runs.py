@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxmps.command_line.files import prepare, refuse
 from jaxmps.command_line.output import conclude, say
-from jaxmps.command_line.setup import prepare_case
+from jaxmps.command_line.setup import prepare_case, refuse_leaving
 
 WORDS, PROBES, FAILURE = "run.json", "probes.csv", "failure.png"
 _FORMAT = 1
@@ -24,6 +24,7 @@ def begin(words: dict[str, Any], folder: Path, checkpoint_every: float | None, o
     for path in paths.values():
         refuse(path, force)
     setup = prepare_case(**words, checkpoint_every=checkpoint_every)
+    refuse_leaving(setup)
     if setup.probes:
         paths[PROBES] = folder / PROBES
         refuse(paths[PROBES], force)

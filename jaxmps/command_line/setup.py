@@ -36,3 +36,12 @@ def prepare_case(
         return dataclasses.replace(setup, run=table)
     made, method = build(case, scheme or "mps", spacing, settings or [], displaced, table.seed)
     return Setup(made, method, (), table)
+
+
+def refuse_leaving(setup: "Setup") -> None:
+    """`ValueError` for a run that would fail at a time which is known: when a wall leaves the domain."""
+    from jaxmps.casefile import leaving
+
+    gone = leaving(setup)
+    if gone is not None:
+        raise ValueError(str(gone))

@@ -3,7 +3,7 @@
 import itertools
 from typing import TYPE_CHECKING, Any
 
-from jaxmps.command_line.setup import prepare_case
+from jaxmps.command_line.setup import prepare_case, refuse_leaving
 
 if TYPE_CHECKING:
     from jaxmps.casefile import Setup
@@ -27,7 +27,10 @@ def setups_of(
     grid = list(itertools.product(*(_values(text) for text in sweep)))
     if len(grid) * count > _MOST_POINTS:
         raise ValueError(f"members must be at most {_MOST_POINTS} in all, got {len(grid) * count}")
-    return [prepare_case(case, scheme, spacing, [*settings, *point], options, jittered=False) for point in grid]
+    made = [prepare_case(case, scheme, spacing, [*settings, *point], options, jittered=False) for point in grid]
+    for setup in made:
+        refuse_leaving(setup)
+    return made
 
 
 def members_of(setups: "list[Setup]", count: int) -> tuple[list[Any], list[Any], Any]:

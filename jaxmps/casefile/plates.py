@@ -1,0 +1,104 @@
+"""Walls with fluid on both sides: plates, made as thick as they must be, and bodies too thin to be walls."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, Polygon
+
+from jaxmps.casefile.meshes import Solid, thickness
+from jaxmps.casefile.models import OwnFile
+from jaxmps.casefile.parsing import CaseFileError
+from jaxmps.casefile.shapes import Wall
+from jaxmps.cases.lattice import dummy_layers
+
+_ASIDE = 1e-4  # [spacings] the faces of a plate lie so far beside the middles of cells that as many fit in as should
+
+
+def rows_of_plate(ratio: float) -> int:
+    """Rows of particles in a plate: one of walls on either side, and between them dummies that complete the
+    neighborhoods of both. Neither fluid nor walls on one side feel those on the other, which are r_e away or more.
+    """
+    return 2 + dummy_layers(ratio)
+
+
+def with_plates(file: OwnFile, path: Path, ratio: float, spacing: float) -> OwnFile:
+    """The file with its plates made into obstacles of that thickness. Raises `CaseFileError` for one that is to be too
+    thin, or whose polyline meets its own end.
+    """
+    faults, walls = [], []
+    for index, table in enumerate(file.wall, 1):
+        try:
+            walls.append(_thickened(table, ratio, spacing) if table.plate else table)
+        except ValueError as error:
+            faults.append(f"[[wall]] {index}: {error}")
+    if faults:
+        raise CaseFileError(path, faults)
+    return file.model_copy(update={"wall": walls})
+
+
+def _thickened(table: Wall, ratio: float, spacing: float) -> Wall:
+    least = rows_of_plate(ratio)
+    rows = table.layers if table.thickness is None else round(table.thickness / spacing)
+    if rows is not None and rows < least:
+        given = f"{rows} layers" if table.thickness is None else f"{table.thickness:g} m"
+        raise ValueError(
+            f"a plate must be at least {least} layers, {least * spacing:g} m, thick at the spacing {spacing:g} m, got "
+            f"{given}"
+        )
+    changed = {"side": "inside", "plate": False, "thickness": None, "polyline": None}
+    if table.polyline is not None:
+        if any(len(point) != 2 for point in table.polyline):
+            return table  # which is told where all other shapes are checked
+        rows = rows or least
+        outline = _around(LineString(table.polyline), rows * spacing, table.side)
+        return table.model_copy(update=changed | {"polygon": outline, "layers": rows})
+    assert table.box is not None
+    if len({len(corner) for corner in table.box}) > 1:
+        return table
+    corners = np.sort(np.array(table.box), axis=0)
+    axis = int(np.argmin(corners[1] - corners[0]))
+    drawn = corners[1, axis] - corners[0, axis]
+    rows = max(rows or least, round(drawn / spacing))
+    middle = corners[:, axis].mean() + (_ASIDE * spacing if corners.shape[1] == 3 else 0.0)
+    corners[:, axis] = middle + 0.5 * rows * spacing * np.array([-1.0, 1.0])
+    return table.model_copy(update=changed | {"box": corners.tolist(), "layers": rows})
+
+
+def _around(line: LineString, width: float, side: str | None) -> list[list[float]]:
+    """Corners of the strip of that width [m] around a line, or to one side of it."""
+    if side is None:
+        strip = line.buffer(0.5 * width, cap_style="flat", join_style="mitre")
+    else:
+        strip = line.buffer(width if side == "left" else -width, single_sided=True, join_style="mitre")
+    if not isinstance(strip, Polygon) or strip.is_empty or strip.interiors:
+        raise ValueError("the polyline of a plate must not close: draw its two parts as two plates")
+    return [list(corner) for corner in strip.exterior.coords[:-1]]
+
+
+def thickness_of(shape: Polygon | Solid) -> float:
+    """How thick a body is [m]: in the plane the largest circle in it, in space the way through it."""
+    if isinstance(shape, Polygon):
+        return 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(shape)))
+    return thickness(shape)
+
+
+def obstacles(file: OwnFile, path: Path, shapes: list[Polygon | Solid | None], spacing: float) -> tuple[float, ...]:
+    """How thick each obstacle is [m], infinite for other walls.
+
+    `CaseFileError` for those thinner than a spacing, through which fluid would flow.
+    """
+    pairs = list(zip(file.wall, shapes, strict=True))
+    found = tuple(math.inf if t.side != "inside" or shape is None else thickness_of(shape) for t, shape in pairs)
+    faults = []
+    for index, (thick, (table, _)) in enumerate(zip(found, pairs, strict=True), 1):
+        if thick < spacing * (1.0 - 1e-3):
+            drawn = "with" if table.kind == "box" else "as a box or a polyline with"
+            faults.append(
+                f"[[wall]] {index}: must be at least as thick as the spacing {spacing:g} m to stop the fluid, got "
+                f"{thick:.3g} m: draw it thicker, or {drawn} plate = true"
+            )
+    if faults:
+        raise CaseFileError(path, faults)
+    return found
