@@ -140,6 +140,8 @@ def compare(folder: Path, alone: Path) -> None:
 
 def same(a: np.ndarray | None, b: np.ndarray | None) -> bool:
     """To the last bit."""
+    if a is not None and b is not None and a.dtype == b.dtype == object:  # texts, of which an array has the addresses
+        return a.tolist() == b.tolist()
     return a is not None and b is not None and (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes())
 
 

@@ -24,7 +24,7 @@ class Flow(NamedTuple):
 
 def begin(name: str, case: mps.Case, scheme: mps.Scheme | None = None) -> Flow:
     """The flow of a case at its start."""
-    scheme = scheme or mps.schemes.mps()
+    scheme = scheme or mps.schemes.mps(viscous=False)
     return Flow(name, case, scheme, mps.start(case, scheme))
 
 
@@ -50,7 +50,7 @@ def flows(particles: int) -> Iterator[Flow]:
 
 def simulated(case: mps.Case, times: tuple[float, ...]) -> Iterator[Flow]:
     """The case as a run with the standard method finds it at some times [s]."""
-    scheme, step = mps.schemes.mps(), min(times)
+    scheme, step = mps.schemes.mps(viscous=False), min(times)
     run = mps.simulate(case, scheme, until=max(times), save_every=step, progress=False)
     run.status.check()
     for time in times:

@@ -38,7 +38,7 @@ class StepRun:
 
     def __init__(self, name: str, case: mps.Case, steps: int, chunks: int, parts: bool):
         self.steps, self.x64 = steps, bool(jax.config.jax_enable_x64)
-        scheme = mps.schemes.mps()
+        scheme = mps.schemes.mps(viscous=False)
         state = mps.start(case, scheme)
         self.rollout = compiled(lambda *flow: mps.rollout(*flow, steps=steps), case, scheme, state)
         for _ in range(chunks):
