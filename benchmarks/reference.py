@@ -1,4 +1,4 @@
-"""The step of `schemes.mps(viscous=False)` as one would otherwise write it in Python, with NumPy and SciPy: what to compare with.
+"""The step of `schemes.mps(viscous=False)` as one would write it in Python with NumPy and SciPy: what to compare with.
 
 The same formulas, walls, surface test, collisions, matrix, tolerance and warm start. Each pair is stored once, i < j,
 found by a k-d tree with a skin and evaluated twice in a step; sums over pairs are `np.bincount`; the equation holds the
@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg, spilu, splu
 
 from benchmarks.reference_list import List, Pairs
@@ -39,6 +40,13 @@ class Flow(NamedTuple):
     velocity: np.ndarray
     pressure: np.ndarray
     kind: np.ndarray
+
+
+def without_mean(x: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """x less its mean over each part with a number of zero or more."""
+    number = part + 1
+    mean = np.bincount(number, x) / np.maximum(np.bincount(number), 1)
+    return np.where(number > 0, x - mean[number], x)
 
 
 class Reference:
@@ -99,9 +107,10 @@ class Reference:
             wet = np.flatnonzero(has_pressure[near.i] & has_pressure[near.j])
             near, w = Pairs(near.i[wet], near.j[wet], np.take(near.r, wet, axis=0), near.distance[wet]), w[wet]
         with self._timed("matrix"):
-            matrix, diagonal = self._matrix(near, w, unknown)
+            matrix, diagonal, loose = self._matrix(near, w, unknown)
         p = np.zeros(n)
-        p[unknown] = self._solve(matrix, diagonal, b[unknown], pressure[unknown])
+        solved = self._solve(matrix, diagonal, without_mean(b[unknown], loose), pressure[unknown])
+        p[unknown] = without_mean(solved, loose)
         with self._timed("operators"):
             p = np.maximum(p, 0.0) if self.clip else p
             a = np.where(moves[:, None], self._acceleration(p, near, w), 0.0)
@@ -128,7 +137,10 @@ class Reference:
         np.add.at(change, j, -np.where(moves[i], 0.5, 1.0)[:, None] * impulse)
         return np.where(moves[:, None], change, 0.0)
 
-    def _matrix(self, near: Pairs, w: np.ndarray, unknown: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
+    def _matrix(
+        self, near: Pairs, w: np.ndarray, unknown: np.ndarray
+    ) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
+        """The matrix, its diagonal, and of each row the part without a known pressure that it is in, −1 for none."""
         n, c = len(unknown), self.laplacian * w
         i, j = near.i, near.j
         both = np.flatnonzero(unknown[i] & unknown[j])
@@ -138,11 +150,14 @@ class Reference:
         diagonal = np.bincount(i, c, n) + np.bincount(j, c, n)
         partners = np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
         inside = np.bincount(i[both], minlength=n) + np.bincount(j[both], minlength=n)
-        # Lonely clumps without a known pressure are tied weakly to zero.
-        tied = (partners <= self.dim + 1) & (partners == inside)
-        diagonal = np.where(tied, (1.0 + 1e-3) * diagonal, diagonal)[unknown]
-        diagonal = np.where(diagonal > 0, diagonal, 1.0)
-        return upper + upper.T.tocsr() + sparse.diags_array(diagonal, format="csr"), diagonal
+        parts, part = connected_components(upper, directed=False)
+        loose = np.bincount(part, (partners - inside)[unknown], parts) == 0
+        diagonal = np.where(diagonal > 0, diagonal, 1.0)[unknown]
+        # One row of each loose part is tied to zero: with a right-hand side of the mean zero that decides its constant.
+        first = np.unique(part, return_index=True)[1][loose]
+        diagonal[first] *= 2.0
+        matrix = upper + upper.T.tocsr() + sparse.diags_array(diagonal, format="csr")
+        return matrix, diagonal, np.where(loose[part], part, -1)
 
     def _solve(self, matrix: sparse.csr_array, diagonal: np.ndarray, b: np.ndarray, guess: np.ndarray) -> np.ndarray:
         with self._timed("preconditioner"):
