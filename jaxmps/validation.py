@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -18,6 +19,11 @@ def number(name: str, value: Any, unit: str = "") -> Any:
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.ndim or not math.isfinite(array):
         raise ValueError(f"{name} must be a finite number{f' in {unit}' if unit else ''}, got {_show(value, unit)}")
+    most = jnp.finfo(jnp.result_type(float))
+    if abs(array) > most.max:
+        raise ValueError(
+            f"{name} must be at most {most.max:.3g}, as far as {most.dtype} goes, got {_show(value, unit)}"
+        )
     return float(array)
 
 

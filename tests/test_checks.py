@@ -104,3 +104,9 @@ def test_of_several_members_each_has_to_have_the_precision(tmp_path):
     with pytest.raises(ValueError, match="case must have the precision"):
         mps.ensemble([narrow, narrow], scheme(), keys=2, until=1e-3, dt=1e-3, out=tmp_path / "many")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("precision", ["single"], indirect=True)
+def test_numbers_beyond_single_precision_are_refused_by_name(precision):
+    with pytest.raises(ValueError, match=r"density must be at most 3.4e\+38, as far as float32 goes, got 1e\+308"):
+        mps.cases.dam_break(spacing=0.1, density=1e308)
