@@ -171,17 +171,26 @@ def test_pictures_of_space_show_walls_obstacles_and_probes_with_and_without_pyvi
     assert change("without obstacle", "bare") > 800
 
 
-def test_walls_of_space_move_in_its_pictures(painter, tmp_path):
+def test_walls_and_fluid_of_space_move_in_its_pictures_and_animations(painter, tmp_path):
     run = rolling(3)
-    scene = Scene(run, "kind", None, range(len(run)))
-    scene.show(0)
-    first = pixels(scene.figure, tmp_path / "a.png")
-    still = dataclasses.replace(run, position=run.position.copy())
     fluid = run.kind[0] == Kind.FLUID
-    still.position[:, fluid] = run.position[:1, fluid]  # only the walls move
-    scene = Scene(still, "kind", None, range(len(run)))
-    scene.show(2)
-    assert np.sum(np.abs(pixels(scene.figure, tmp_path / "b.png") - first)) > 50_000
+    for moving in (fluid, ~fluid):
+        one = dataclasses.replace(run, position=run.position.copy())
+        one.position[:, ~moving] = run.position[:1, ~moving]
+        scene, images = Scene(one, "kind", None, range(len(run))), []
+        for index in (0, 3):
+            scene.show(index)
+            images.append(pixels(scene.figure, tmp_path / "picture.png"))
+        assert np.sum(np.abs(images[1] - images[0]).max(axis=2) > 20) > 500
+        plotting.animate(one, tmp_path / "run.gif", "kind")
+        with Image.open(tmp_path / "run.gif") as gif:
+            gif.seek(len(run) - 1)
+            last = np.asarray(gif.convert("RGB"), int)
+        drawn = Scene(one, "kind", None, range(len(run)))
+        drawn.show(3)
+        # In the colors of the palette, the picture of the last frame: rulers, walls, fluid and names.
+        wrong = np.abs(last - pixels(drawn.figure, tmp_path / "picture.png")).max(axis=2) > 80
+        assert np.sum(wrong) < 300
 
 
 def test_a_pressure_of_both_signs_has_zero_in_the_middle_of_its_colors():
