@@ -140,9 +140,9 @@ def compare(folder: Path, alone: Path) -> None:
 
 def same(a: np.ndarray | None, b: np.ndarray | None) -> bool:
     """To the last bit."""
-    if a is not None and b is not None and a.dtype == b.dtype == object:  # texts, of which an array has the addresses
-        return a.tolist() == b.tolist()
-    return a is not None and b is not None and (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes())
+    if a is None or b is None or (a.dtype, a.shape) != (b.dtype, b.shape):
+        return False
+    return a.tolist() == b.tolist() if a.dtype == object else a.tobytes() == b.tobytes()  # strings are pointers
 
 
 def harass(folder: Path, kills: int, seed: int, options: Sequence[str] = OPTIONS, log: bool = False) -> Counter[str]:

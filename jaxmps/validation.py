@@ -19,11 +19,10 @@ def number(name: str, value: Any, unit: str = "") -> Any:
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.ndim or not math.isfinite(array):
         raise ValueError(f"{name} must be a finite number{f' in {unit}' if unit else ''}, got {_show(value, unit)}")
-    most = jnp.finfo(jnp.result_type(float))
-    if abs(array) > most.max:
-        raise ValueError(
-            f"{name} must be at most {most.max:.3g}, as far as {most.dtype} goes, got {_show(value, unit)}"
-        )
+    held = jnp.finfo(jnp.result_type(float))
+    if array and not held.tiny <= abs(array) <= held.max:
+        reach = f"from {held.tiny:.2g} to {held.max:.2g}, as far as {held.dtype} goes"
+        raise ValueError(f"{name} must be zero or of a size {reach}, got {_show(value, unit)}")
     return float(array)
 
 

@@ -107,6 +107,8 @@ def test_of_several_members_each_has_to_have_the_precision(tmp_path):
 
 
 @pytest.mark.parametrize("precision", ["single"], indirect=True)
-def test_numbers_beyond_single_precision_are_refused_by_name(precision):
-    with pytest.raises(ValueError, match=r"density must be at most 3.4e\+38, as far as float32 goes, got 1e\+308"):
-        mps.cases.dam_break(spacing=0.1, density=1e308)
+@pytest.mark.parametrize("density", [1e308, 1e-308])
+def test_numbers_beyond_single_precision_are_refused_by_name(precision, density):
+    said = r"density must be zero or of a size from 1.2e-38 to 3.4e\+38, as far as float32 goes, got 1e.?308"
+    with pytest.raises(ValueError, match=said):
+        mps.cases.dam_break(spacing=0.1, density=density)

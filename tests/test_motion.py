@@ -329,3 +329,26 @@ def test_a_case_file_moves_its_walls(tmp_path):
     path.write_text(text.replace("0.5, 1.0]", "1.0, 0.5]"))
     with pytest.raises(ValueError, match=r"\[motion\]: times of a table must increase"):
         mps.casefile.read(path)
+
+
+def test_walls_are_where_they_are_in_the_file_at_every_time_as_vtk_reads_it(tmp_path):
+    pytest.importorskip("vtk")
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    case = mps.cases.sloshing(spacing=0.1, depth=0.3, amplitude=20.0, period=1.0)
+    run = mps.simulate(case, by_diagonal(mps.schemes.mps()), until=0.1, save_every=0.05, out=tmp_path / "run.vtkhdf")
+    walls = np.asarray(case.particles.kind) != mps.Kind.FLUID
+    reference, center = np.asarray(case.particles.position)[walls], np.asarray(case.motion.center)
+    reader = vtkHDFReader()
+    reader.SetFileName(str(run.path))
+    reader.UpdateInformation()
+    for k, time in enumerate((0.0, 0.05, 0.1)):
+        reader.SetStep(k)
+        reader.Update()
+        angle = float(case.motion.roll(jnp.asarray(time)) - case.motion.roll(jnp.asarray(0.0)))
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        expected = center + (reference - center) @ turn.T
+        found = vtk_to_numpy(reader.GetOutputDataObject(0).GetPoints().GetData())[walls, :2]
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert abs(angle) > 0.1

@@ -22,7 +22,11 @@ FRAMES = 3
 LAYOUTS = pytest.mark.parametrize(("dim", "dtype"), [(2, "f8"), (3, "f4")], ids=["2d", "3d"])
 PHASE = np.arange(PARTICLES, dtype=np.int32) % 2
 DENSITY = np.where(PHASE == 0, 1000.0, 800.0)
-METADATA = {"case": {"name": "tank", "width": 0.5}, "scheme": {"name": "mps"}, "run": {"seed": 7}}
+METADATA = {
+    "case": {"name": "tank", "width": 0.5, "fluids": ["sea water", "Öl"]},
+    "scheme": {"name": "mps"},
+    "run": {"seed": 7},
+}
 
 
 def frame(k: int, dim: int, dtype: str) -> dict[str, Any]:
@@ -100,6 +104,17 @@ def test_vtk_reads_every_field_of_every_step(tmp_path: Path, dim: int, dtype: st
             np.testing.assert_array_equal(found[name], array, err_msg=f"{name} of step {k}")
         assert found["position"].dtype == np.dtype(dtype)
         assert (output.GetNumberOfVerts(), output.GetNumberOfCells()) == (PARTICLES, PARTICLES)
+
+
+def test_vtk_reads_the_names_of_phases_in_every_step(tmp_path: Path) -> None:
+    write(tmp_path / "run.vtkhdf")
+    reader = vtk_reader(tmp_path / "run.vtkhdf")
+    for k in range(FRAMES):
+        reader.SetStep(k)
+        reader.Update()
+        names = reader.GetOutput().GetFieldData().GetAbstractArray("phase_names")
+        assert [names.GetValue(i) for i in range(names.GetNumberOfValues())] == ["sea water", "Öl"]
+    assert read(tmp_path / "run.vtkhdf").phase_names == ["sea water", "Öl"]
 
 
 @LAYOUTS

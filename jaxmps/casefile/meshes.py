@@ -5,7 +5,7 @@ normals to the inside of another body makes a hole in it.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -45,7 +45,7 @@ def solid(shape: Shape, folder: Path) -> Solid:
             raise ValueError(f"box must have a volume, got {shape.box} m")
         return Solid((trimesh.creation.box(bounds=corners),))
     if shape.sphere is not None:
-        found = trimesh.creation.icosphere(subdivisions=4, radius=shape.sphere.radius)
+        found: Any = trimesh.creation.icosphere(subdivisions=4, radius=shape.sphere.radius)
         # The corners of the facets lie on the sphere: as a whole they are a little small.
         found.apply_scale((4.0 / 3.0 * np.pi * shape.sphere.radius**3 / found.volume) ** (1.0 / 3.0))
         return Solid((found.apply_translation(shape.sphere.center),))
@@ -74,7 +74,7 @@ def solid(shape: Shape, folder: Path) -> Solid:
     return found
 
 
-def _merged(found: Trimesh) -> Trimesh:
+def _merged(found: Any) -> Trimesh:
     """With corners at one place made one corner, and without what is no triangle then."""
     found = found.copy()
     found.merge_vertices()

@@ -7,10 +7,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import shapely
 from scipy.spatial import KDTree
-from shapely.geometry import LineString, Polygon, box
+from shapely.geometry import LineString, box
 from shapely.geometry.base import BaseGeometry
 
 from jaxmps.casefile.plane import CLOSE, apart, beyond, outline
+from jaxmps.casefile.plates import sturdy
 from jaxmps.casefile.shapes import Wall
 from jaxmps.cases.lattice import lattice_points
 
@@ -50,7 +51,8 @@ def walls(tables: list[Wall], counts: list[int], spacing: float, around: BaseGeo
     """
     placed: list[Placed] = []
     solids: list[BaseGeometry] = []
-    closed = [(t, outline(t), n) for t, n in zip(tables, counts, strict=True) if t.polyline is None]
+    hollow = shapely.union_all([outline(t) for t in tables if t.side == "outside"])
+    closed = [(t, _outline(t, hollow, spacing), n) for t, n in zip(tables, counts, strict=True) if t.polyline is None]
     if closed:
         numbers = np.array([k for k, table in enumerate(tables) if table.polyline is None])
         found, solid = _around_region(closed, spacing, around)
@@ -85,8 +87,13 @@ def walls(tables: list[Wall], counts: list[int], spacing: float, around: BaseGeo
     )
 
 
+def _outline(table: Wall, hollow: BaseGeometry, spacing: float) -> BaseGeometry:
+    shape = outline(table)
+    return shape if table.side == "outside" else sturdy(shape, hollow, spacing)
+
+
 def _around_region(
-    closed: list[tuple[Wall, Polygon, int]], spacing: float, around: BaseGeometry
+    closed: list[tuple[Wall, BaseGeometry, int]], spacing: float, around: BaseGeometry
 ) -> tuple[list[Placed], BaseGeometry]:
     most = max(count for *_, count in closed)
     tanks = [shape for table, shape, _ in closed if table.side == "outside"]
@@ -126,6 +133,8 @@ def _around_region(
 
 def _voids(band: BaseGeometry, there: np.ndarray, spacing: float) -> np.ndarray:
     """Particles for the room that is left between layers from two sides, such as in the middle of a thin wall."""
+    if band.is_empty:
+        return np.zeros((0, 2))
     low, high = np.reshape(band.bounds, (2, 2))
     count = np.ceil((high - low) / (0.25 * spacing)).astype(int) + 1
     tree, found = KDTree(there), []
@@ -140,7 +149,7 @@ def _voids(band: BaseGeometry, there: np.ndarray, spacing: float) -> np.ndarray:
     return points[farthest][apart(points[farthest], _VOID * spacing)]
 
 
-def _opening(table: Wall, shape: Polygon, universe: BaseGeometry) -> BaseGeometry:
+def _opening(table: Wall, shape: BaseGeometry, universe: BaseGeometry) -> BaseGeometry:
     low, high = np.reshape(shape.bounds, (2, 2))
     outer = np.reshape(universe.bounds, (2, 2))
     halves = []

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 from shapely.geometry import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from jaxmps.casefile.meshes import Solid, thickness
 from jaxmps.casefile.models import OwnFile
 from jaxmps.casefile.parsing import CaseFileError
 from jaxmps.casefile.shapes import Wall
 from jaxmps.cases.lattice import dummy_layers
-
-_ASIDE = 1e-4  # [spacings] the faces of a plate lie so far beside the middles of cells that as many fit in as should
 
 
 def rows_of_plate(ratio: float) -> int:
@@ -61,8 +60,7 @@ def _thickened(table: Wall, ratio: float, spacing: float) -> Wall:
     axis = int(np.argmin(corners[1] - corners[0]))
     drawn = corners[1, axis] - corners[0, axis]
     rows = max(rows or least, round(drawn / spacing))
-    middle = corners[:, axis].mean() + (_ASIDE * spacing if corners.shape[1] == 3 else 0.0)
-    corners[:, axis] = middle + 0.5 * rows * spacing * np.array([-1.0, 1.0])
+    corners[:, axis] = corners[:, axis].mean() + 0.5 * rows * spacing * np.array([-1.0, 1.0])
     return table.model_copy(update=changed | {"box": corners.tolist(), "layers": rows})
 
 
@@ -75,6 +73,16 @@ def _around(line: LineString, width: float, side: str | None) -> list[list[float
     if not isinstance(strip, Polygon) or strip.is_empty or strip.interiors:
         raise ValueError("the polyline of a plate must not close: draw its two parts as two plates")
     return [list(corner) for corner in strip.exterior.coords[:-1]]
+
+
+def sturdy(shape: Polygon, hollow: BaseGeometry, spacing: float) -> BaseGeometry:
+    """An obstacle with room for a row of particles: one just as thick as a spacing gets a thousandth more, not beyond
+    the tanks around it, the polygons `hollow`.
+    """
+    if thickness_of(shape) > (1.0 + 1e-3) * spacing:
+        return shape
+    thicker = shape.buffer(1.5e-3 * spacing, join_style="mitre")
+    return thicker.intersection(hollow).union(shape) if hollow.intersects(shape) else thicker
 
 
 def thickness_of(shape: Polygon | Solid) -> float:

@@ -4,16 +4,19 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from scipy import ndimage
 from scipy.spatial import KDTree
 from trimesh import Trimesh
 
 from jaxmps.casefile.meshes import Solid, crossings
 from jaxmps.casefile.plane import beyond, threshold
 from jaxmps.casefile.shapes import Wall
-from jaxmps.cases.lattice import lattice_points
+from jaxmps.cases.lattice import few, lattice_points
 
 # A ray through an edge meets two triangles or none; no edge of a drawing lies exactly there.
 _ASIDE = np.array([3.1e-6, 1.7e-6])  # [spacings]
+# A middle in the surface itself is inside or outside as its ray tells, so that a slab has as many rows as it should.
+_TINY = 1e-9  # [spacings]
 
 
 class Grid(NamedTuple):
@@ -32,6 +35,7 @@ def grid_around(solids: list[Solid], anchor: np.ndarray, margin: float, spacing:
     """The cells of the lattice through `anchor` up to `margin` [m] around all solids."""
     low = np.min([m.bounds[0] for m in solids], axis=0) - margin
     high = np.max([m.bounds[1] for m in solids], axis=0) + margin
+    few(float(np.prod((high - low) / spacing)))
     first, last = (np.round((edge - anchor) / spacing).astype(int) for edge in (low, high))
     return Grid(anchor + first * spacing, tuple((last - first + 1).tolist()), spacing)
 
@@ -59,6 +63,7 @@ def _depths(body: Trimesh, grid: Grid, reach: float) -> np.ndarray:
     near = near[np.isfinite(rough)]
     for part in np.array_split(near, len(near) // 20_000 + 1):
         away = trimesh.proximity.closest_point(body, position[part])[1] if len(part) else np.zeros(0)
+        away = np.maximum(away, _TINY * grid.spacing)
         depth[part] = np.where(away <= reach, np.sign(depth[part]) * away, depth[part])
     return depth
 
@@ -111,7 +116,7 @@ def wall_layers(
     tables: list[Wall], bounds: list[np.ndarray], depth: list[np.ndarray], counts: list[int], grid: Grid
 ) -> Layers:
     """The layers of all walls. A cell outside of all tanks or inside an obstacle is wall of the layer k if its middle
-    is k to k + 1 spacings from the surface, the latter included: with a middle in the surface there is none nearer.
+    is k to k + 1 spacings from the surface, the latter included: the cell before it may be in front of the surface.
     """
     behind = np.full(np.prod(grid.shape), np.inf)
     if not tables:
@@ -134,6 +139,9 @@ def wall_layers(
     layer = np.ceil(np.where(np.isfinite(behind), behind, 0.0) / grid.spacing - 1e-6).astype(int) - 1
     solid = (behind > 0.0) & np.isfinite(behind) & (layer < most)
     layer = np.maximum(layer, 0)  # right behind the surface
+    # In the foot of an obstacle, surfaces that other walls cover do not count: a wall has something open beside it.
+    beside = ndimage.binary_dilation((behind <= 0.0).reshape(grid.shape), np.ones((3, 3, 3), bool)).ravel()
+    layer = np.where((layer == 0) & ~beside & (most > 1), 1, layer)
     position = grid.middles
     for k in outside:
         opened = beyond(position, tables[k].open, bounds[k])

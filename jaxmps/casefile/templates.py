@@ -56,6 +56,8 @@ side = "outside"
 open = ["+y"]                      # sides of the tank without a wall
 # layers = 3                       # by default what the scheme's radius needs; or thickness = 0.06 in m
 
+# With fluid on both sides a wall must be thick enough: plate = true makes a box or a polyline as thick as it must be.
+
 [[wall]]
 box = [[0.8, 0.0], [0.9, 0.12]]
 side = "inside"

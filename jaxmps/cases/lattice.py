@@ -28,17 +28,18 @@ def dummy_layers(ratio: float) -> int:
 
 def cells(length: float, spacing: float) -> int:
     """Whole number of spacings that comes closest to a length; `ValueError` for more than can be."""
-    _few(length / spacing)
+    few(length / spacing)
     return round(length / spacing)
 
 
 def lattice_points(*ranges: range) -> np.ndarray:
     """Integer points `(n, d)` of a lattice with these ranges along its axes, the last axis first to vary."""
-    _few(math.prod(float(max(r.stop - r.start, 0)) for r in ranges))  # a range of enormous length has no len
+    few(math.prod(float(max(r.stop - r.start, 0)) for r in ranges))  # a range of enormous length has no len
     return np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
 
 
-def _few(points: float) -> None:
+def few(points: float) -> None:
+    """`ValueError` for more lattice points than can be; before there is memory for them."""
     if points > _MOST_POINTS:
         raise ValueError(f"spacing must leave at most {_MOST_POINTS:.0e} lattice points, got {points:.1e}")
 

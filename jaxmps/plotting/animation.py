@@ -52,7 +52,7 @@ def animate(
 
 def indexed_pictures(scene: Scene, frames: Iterable[int]) -> Iterator[Any]:
     """Pictures of the frames, as images of one palette."""
-    colors = _palette(scene.colormap)
+    colors = _palette(scene.colormap, shaded=scene.axes.name != "3d" and scene.run.position.shape[2] == 3)
     table = _nearest(colors)
     return (_indexed(pixels, colors, table) for pixels in _pictures(scene, frames))
 
@@ -87,14 +87,18 @@ def _pictures(scene: Scene, frames: Iterable[int]) -> Iterator[np.ndarray]:
         yield np.asarray(canvas.buffer_rgba())[..., :3]
 
 
-def _palette(colormap: Any) -> np.ndarray:
-    """The color map, fading into white, greys, and that of probes: one palette, so that nothing flickers."""
+def _palette(colormap: Any, shaded: bool) -> np.ndarray:
+    """The color map, fading into white and, where balls are shaded, into black; greys, and the color of probes. One
+    palette, so that nothing flickers.
+    """
     from matplotlib.colors import to_rgb
 
-    hues = 255.0 * colormap(np.linspace(0.0, 1.0, 48))[:, :3]
+    hues = 255.0 * colormap(np.linspace(0.0, 1.0, 32 if shaded else 48))[:, :3]
+    ink = 255.0 * np.array([to_rgb(INK)])
+    shades = [part * hue for hue in (hues, ink) for part in (0.85, 0.7, 0.5)] if shaded else []
     faded = [hues + (255.0 - hues) * part for part in (0.0, 0.5)]
     greys = np.repeat(np.linspace(0.0, 255.0, 24)[:, None], 3, axis=1)
-    return np.concatenate([*faded, greys, 255.0 * np.array([to_rgb(INK)])]).round().astype(np.uint8)
+    return np.concatenate([*faded, greys, ink, *shades]).round().astype(np.uint8)
 
 
 def _nearest(colors: np.ndarray) -> np.ndarray:

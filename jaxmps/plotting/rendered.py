@@ -6,6 +6,7 @@ PyVista draws off screen, and the picture stands in axes of matplotlib, as all o
 import contextlib
 import functools
 import itertools
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,6 +21,7 @@ from jaxmps.results import Run
 
 _SCALE = 2.0  # pixels of the picture for each of the figure
 _MARGIN = 1.25  # of what is seen to what there is, for labels
+_LIGHT = {"ambient": 0.35, "diffuse": 0.65}  # colors stay those of the scale
 _FIRST = (9, 4)  # release of VTK that needs neither screen nor X server
 
 
@@ -45,7 +47,7 @@ def available() -> bool:
 class Rendered:
     """As `solid.Solid`, drawn by PyVista; `mapped` is the picture."""
 
-    flat = True
+    flat = False  # rulers stand on the picture: all is drawn anew
 
     def __init__(
         self,
@@ -67,6 +69,7 @@ class Rendered:
         self._pixels = [round(_SCALE * axes.figure.dpi * x) for x in inches]
         with _silent():
             self._plotter: Any = pyvista.Plotter(off_screen=True, window_size=self._pixels)
+            weakref.finalize(self, self._plotter.close).atexit = False  # PyVista itself keeps all that are open
             self._plotter.set_background("white")
             self._plotter.disable_anti_aliasing()  # balls would be smaller; matplotlib smooths the picture
             self._look()
@@ -78,13 +81,11 @@ class Rendered:
         self._names = [axes.text(0, 0, f"  {probe.name}", color=INK, fontsize=8) for probe in probes]
         axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="x [m]", ylabel="y [m]")
         rulers(axes, self._seen, corners, 0.03 * self._half)
-        self.moving = [self.mapped, *self._names]
-        self._marks: list[tuple[np.ndarray, str]] = []
+        self.moving = [self.mapped]
 
     def show(self, index: int, values: np.ndarray) -> None:
         """Everything at its place in a frame, the fluid with these values."""
         run, here, plotter = self._run, self._ever, self._plotter
-        self._shown = index, values
         position = _three(run.position[index])
         with _silent():
             there = run.fluid[index, here] & np.isfinite(position[here]).all(axis=1)
@@ -96,15 +97,14 @@ class Rendered:
                 points = probe_line(run, probe, index, (self._low[2], self._high[2]))
                 self._line(probe.name, points)
                 name.set_position(self._seen(points[-1]))
-            for k, (place, color) in enumerate(self._marks):
-                self._points(f"mark {k}", place[None], color=color, size=2.0)
+            plotter.render()  # else a screenshot shows what was rendered before
             image = plotter.screenshot(return_img=True)
         self.mapped.set_data(image)
 
     def mark(self, place: np.ndarray, color: str) -> None:
-        """A larger ball in the place of a particle."""
-        self._marks.append((place, color))
-        self.show(*self._shown)
+        """A ring around a particle, also around one behind others."""
+        at = self._seen(place)
+        self.axes.plot(*at[:, None], ls="none", marker="o", ms=16.0, mfc="none", mec=color, mew=2.0, zorder=5)
 
     def _look(self) -> None:
         """The eye far away, so that all balls are of one size."""
@@ -134,7 +134,7 @@ class Rendered:
             self._plotter.remove_actor(name)
             return
         pixels = size * self._run.spacing / (2.0 * self._half) * self._pixels[1]
-        style = {"point_size": pixels, "render_points_as_spheres": True, "reset_camera": False, **style}
+        style = {"point_size": pixels, "render_points_as_spheres": True, "reset_camera": False, **_LIGHT, **style}
         self._plotter.add_points(points, name=name, render=False, **style)
 
     def _surface(self, position: np.ndarray) -> None:
