@@ -74,19 +74,16 @@ def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None)
     velocity = [_velocity(body, points) for (_, body), points in zip(bodies(file), layout.bodies, strict=True)]
     velocity = np.concatenate([*velocity, np.zeros_like(layout.wall)])
     particles = eqx.tree_at(lambda p: p.velocity, particles, jnp.asarray(velocity, particles.position.dtype))
-    case = Case(
-        particles=particles,
-        fluids=materials(
-            {f"density of {t.name or i}": t.density for i, t in enumerate(file.fluid)},
-            {f"viscosity of {t.name or i}": t.viscosity for i, t in enumerate(file.fluid)},
-        ),
-        gravity=file.case.gravity,
-        spacing=spacing,
-        box=box,
-        name=file.case.name or path.stem,
-        motion=attributed(path, "[motion]", lambda: motion(file.motion, dim)),
-    )
-    return case, layout
+    densities = {f"density of {t.name or i}": t.density for i, t in enumerate(file.fluid)}
+    viscosities = {f"viscosity of {t.name or i}": t.viscosity for i, t in enumerate(file.fluid)}
+    fluids = attributed(path, "[[fluid]]", lambda: materials(densities, viscosities))
+    moved = attributed(path, "[motion]", lambda: motion(file.motion, dim))
+    name, gravity = file.case.name or path.stem, file.case.gravity
+
+    def make() -> Case:
+        return Case(particles, fluids, gravity, spacing, box, name=name, motion=moved)
+
+    return attributed(path, "[case]", make), layout
 
 
 def _layers(wall: Wall, ratio: float, spacing: float) -> int:
