@@ -17,6 +17,7 @@ from jaxmps import Kind, casefile, cases, simulate
 from jaxmps.casefile import CaseFileError, meshes, read, solid
 from jaxmps.kernels import lattice
 from jaxmps.motion import Bodies, Rigid, Sine
+from jaxmps.pressure.multigrid.grid import cover
 
 DOWN = "[0.0, 0.0, -9.81]"
 PARTED = """
@@ -158,6 +159,20 @@ def test_check_warns_of_a_wall_through_which_fluid_feels_the_other_side(file):  
     assert any("wall 2 is 0.05 m thick: fluid on one side" in line for line in casefile.check(thin).warnings)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_check_warns_of_a_part_of_a_wall_that_has_no_particles(file, tmp_path, dim):  # noqa: F811
+    if dim == 2:  # a block of 0.2 m with a fin of 0.02 m
+        corners = "[[0.6, 0.0], [0.8, 0.0], [0.8, 0.2], [0.71, 0.2], [0.71, 0.5], [0.69, 0.5], [0.69, 0.2], [0.6, 0.2]]"
+        text = PARTED.format(wall=f'polygon = {corners}\nside = "inside"')
+    else:
+        bounds = ([0.5, 0.0, 0.0], [0.9, 0.4, 0.2]), ([0.66, 0.0, 0.1], [0.68, 0.4, 0.6])
+        written(tmp_path, cubes(*bounds))
+        text = SPACE.format(wall='stl = "body.stl"\nside = "inside"')
+    warnings = casefile.check(read(file(text))).warnings
+    (line,) = [line for line in warnings if line.startswith("wall 2 has no particles at (0.")]
+    assert "thinner than a spacing: fluid flows through" in line
+
+
 @pytest.mark.parametrize(("left", "right"), [(0.45, 0.95), (0.4, 0.9), (0.42, 0.92), (0.65, 0.75), (0.6, 0.7)])
 def test_a_block_has_as_many_rows_as_spacings_wherever_it_lies_and_walls_on_its_faces(file, left, right):  # noqa: F811
     wall = f'box = [[{left}, 0.0, 0.0], [{right}, 0.4, 0.6]]\nside = "inside"'
@@ -270,6 +285,10 @@ def test_shapes_that_are_too_large_are_told_in_spacings_before_anything_is_made(
         + "[[fluid.body]]\nbox = [[1e3, 1e3, 1e3], [1001.0, 1001.0, 1001.0]]\n"
     )
     assert "[case]: spacing must leave at most" in fault(file(far))
+    line = fault(file(GOOD.replace("spacing = 0.05", "spacing = 0.05\nlower = [-1.0, -1.0]\nupper = [1e5, 1e5]")))
+    assert "[case]: the domain must have at most" in line and "2e+06 x 2e+06" in line
+    with pytest.raises(ValueError, match="the box must have at most"):
+        cover(mps.Box((0.0, 0.0), (1e5, 1e5)), 0.1)
     with pytest.raises(ValueError, match=r"spacing must leave at most .* lattice points, got 4"):
         cases.dam_break(spacing=1e-6)
 

@@ -134,11 +134,15 @@ def _behind(setup: Setup) -> list[str]:
 
 
 def _thin(setup: Setup) -> list[str]:
-    """Obstacles so thin that fluid on one side has neighbors on the other."""
+    """Obstacles so thin that fluid on one side has neighbors on the other, or flows through a part of them."""
     if setup.layout is None:
         return []
     spacing, ratio = setup.case.spacing, setup.scheme.ratio
-    return [
+    open_ = [
+        f"wall {index} has no particles at {_corner(place)} m, where it is thinner than a spacing: fluid flows through"
+        for index, place in setup.layout.gaps
+    ]
+    return open_ + [
         f"wall {index} is {thick:.3g} m thick: fluid on one side feels that on the other; as a plate it would be thick "
         "enough"
         for index, thick in enumerate(setup.layout.thickness, 1)

@@ -16,6 +16,8 @@ from jaxmps.flow import Box
 
 MOST_CELLS = 30_000_000
 """Around a shape: there is no device with room for as many particles, and the case alone would take gigabytes."""
+MOST_EMPTY = 1_000_000_000
+"""In the domain: more than there is memory for in the grid of the pressure's preconditioner."""
 _SHAPES = {2: ("polygon", "box", "circle"), 3: ("box", "sphere", "stl")}
 
 
@@ -121,6 +123,19 @@ def check_size(kind: str, corners: np.ndarray, spacing: float) -> None:
         f"{kind} must be at most {MOST_CELLS:.0e} spacings in all large, got {large} m, which is {cells} spacings of "
         f"{spacing:g} m: take a larger spacing or a smaller {'scale' if kind == 'stl' else kind}{hint}"
     )
+
+
+def check_domain(path: Path, box: Box, spacing: float) -> None:
+    """`CaseFileError` for a domain that nothing has memory for, empty as it may be."""
+    cells = [length / spacing for length in box.lengths]
+    if np.prod(cells) > MOST_EMPTY:
+        raise CaseFileError(
+            path,
+            [
+                f"[case]: the domain must have at most {MOST_EMPTY:.0e} cells of the spacing {spacing:g} m, got "
+                f"{' x '.join(f'{x:.3g}' for x in cells)}, from {box.lower} m to {box.upper} m: see lower and upper"
+            ],
+        )
 
 
 def check_inside(path: Path, box: Box, position: np.ndarray, counts: list[int], file: OwnFile) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import shapely
 
 from jaxmps.casefile import plane, plane_walls, solid
-from jaxmps.casefile.fitting import Shapes, bodies, check_inside, checked
+from jaxmps.casefile.fitting import Shapes, bodies, check_domain, check_inside, checked
 from jaxmps.casefile.models import OwnFile
 from jaxmps.casefile.motion import motion
 from jaxmps.casefile.parsing import CaseFileError, attributed
-from jaxmps.casefile.plates import obstacles, with_plates
+from jaxmps.casefile.plates import gaps, obstacles, with_plates
 from jaxmps.casefile.shapes import Body, Wall
 from jaxmps.cases.lattice import dummy_layers, materials
 from jaxmps.flow import Box, Case, Kind, at_rest
@@ -23,7 +23,7 @@ class Layout(NamedTuple):
     """Particles of a geometry: fluid of each body, and walls with their layers and the number of the wall of each.
 
     `asked` is the area [m²] or volume [m³] of each body that is to be filled, `thickness` [m] that of each obstacle;
-    other walls have an infinite one.
+    other walls have an infinite one. `gaps`: obstacles with a place at which a part of them has no particles.
     """
 
     bodies: list[np.ndarray]
@@ -32,6 +32,7 @@ class Layout(NamedTuple):
     layer: np.ndarray
     owner: np.ndarray
     thickness: tuple[float, ...] = ()
+    gaps: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
 
 def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None) -> tuple[Case, Layout]:
@@ -43,7 +44,8 @@ def build(file: OwnFile, path: Path, ratio: float, spacing: float | None = None)
     thickness = obstacles(file, path, shapes.wall, spacing)
     counts = [_layers(wall, ratio, spacing) for wall in file.wall]
     arrange = _in_plane if dim == 2 else _in_space
-    layout = attributed(path, "[case]", lambda: arrange(file, shapes, counts, spacing))._replace(thickness=thickness)
+    layout = attributed(path, "[case]", lambda: arrange(file, shapes, counts, spacing))
+    layout = layout._replace(thickness=thickness, gaps=gaps(file, shapes.wall, layout.wall, spacing))
     faults = [
         f"[[wall]] {index}: must have room for a particle at the spacing {spacing:g} m, got none: it is small, lies in "
         "other walls, or is open on all sides"
@@ -183,7 +185,6 @@ def _domain(file: OwnFile, path: Path, position: np.ndarray, corners: np.ndarray
     low, high = np.where(periodic, shapes[0], low), np.where(periodic, shapes[1], high)
     low = low if table.lower is None else np.asarray(table.lower)
     high = high if table.upper is None else np.asarray(table.upper)
-    try:
-        return Box(tuple(low.tolist()), tuple(high.tolist()), periodic)
-    except ValueError as error:
-        raise CaseFileError(path, [f"[case]: {error}"]) from None
+    found = attributed(path, "[case]", lambda: Box(tuple(low.tolist()), tuple(high.tolist()), periodic))
+    check_domain(path, found, spacing)
+    return found

@@ -143,6 +143,7 @@ def crossings(found: Trimesh, columns: np.ndarray, below: float) -> tuple[np.nda
     origin = np.column_stack([columns, np.full(len(columns), below)])
     up = np.tile([0.0, 0.0, 1.0], (len(columns), 1))
     hits, ray, triangle = found.ray.intersects_location(origin, up, multiple_hits=True)
+    hits = np.reshape(hits, (-1, 3))  # of none it has one dimension
     return ray, hits[:, 2], np.where(found.face_normals[triangle, 2] < 0.0, 1, -1)
 
 

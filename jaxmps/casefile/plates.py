@@ -2,9 +2,12 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
+import trimesh
+from scipy.spatial import KDTree
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -13,6 +16,8 @@ from jaxmps.casefile.models import OwnFile
 from jaxmps.casefile.parsing import CaseFileError
 from jaxmps.casefile.shapes import Wall
 from jaxmps.cases.lattice import dummy_layers
+
+_BARE = 1.3  # [spacings] from the surface of a wall to its next particle: too far, for it is 0.5 to 0.9
 
 
 def rows_of_plate(ratio: float) -> int:
@@ -110,3 +115,31 @@ def obstacles(file: OwnFile, path: Path, shapes: list[Polygon | Solid | None], s
     if faults:
         raise CaseFileError(path, faults)
     return found
+
+
+def gaps(
+    file: OwnFile, shapes: list[Any], position: np.ndarray, spacing: float
+) -> tuple[tuple[int, tuple[float, ...]], ...]:
+    """Obstacles by their numbers, and for each a place [m] on its surface that has no wall particle near it: a part of
+    it is too thin. What is outside of all tanks needs none.
+    """
+    tanks = [np.reshape(s.bounds, (2, -1)) for t, s in zip(file.wall, shapes, strict=True) if t.side == "outside"]
+    found = []
+    for index, (table, shape) in enumerate(zip(file.wall, shapes, strict=True), 1):
+        if table.side != "inside" or shape is None:
+            continue
+        points = _on_surface(shape, spacing)
+        held = [np.all((points > low) & (points < high), axis=1) for low, high in tanks]
+        points = points[np.any(held, axis=0)] if held else points
+        bare = KDTree(position).query(points)[0] > _BARE * spacing if len(points) else np.zeros(0, bool)
+        if bare.any():
+            found.append((index, tuple(points[bare][0].tolist())))
+    return tuple(found)
+
+
+def _on_surface(shape: Polygon | Solid, spacing: float) -> np.ndarray:
+    if isinstance(shape, Polygon):
+        edge = shape.boundary
+        steps = np.arange(0.0, edge.length, 0.5 * spacing)
+        return shapely.get_coordinates(shapely.line_interpolate_point(edge, steps))
+    return np.concatenate([trimesh.sample.sample_surface(body, 2000, seed=0)[0] for body in shape.bodies])

@@ -1,6 +1,6 @@
 """Shapes of space on a lattice, which fluid and walls share."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -140,8 +140,8 @@ def wall_layers(
     solid = (behind > 0.0) & np.isfinite(behind) & (layer < most)
     layer = np.maximum(layer, 0)  # right behind the surface
     # In the foot of an obstacle, surfaces that other walls cover do not count: a wall has something open beside it.
-    beside = ndimage.binary_dilation((behind <= 0.0).reshape(grid.shape), np.ones((3, 3, 3), bool)).ravel()
-    layer = np.where((layer == 0) & ~beside & (most > 1), 1, layer)
+    beside: Any = ndimage.binary_dilation((behind <= 0.0).reshape(grid.shape), np.ones((3, 3, 3), bool))
+    layer = np.where((layer == 0) & ~beside.ravel() & (most > 1), 1, layer)
     position = grid.middles
     for k in outside:
         opened = beyond(position, tables[k].open, bounds[k])

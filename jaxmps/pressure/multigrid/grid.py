@@ -15,6 +15,8 @@ from jaxtyping import Array, Float
 from jaxmps._types import total
 from jaxmps.flow import Box
 
+MOST_CELLS = 1_000_000_000
+"""More than any device has memory for, even where there are no particles: a mistyped box, not a plan."""
 _FEW = 64  # nodes of a grid that needs no coarser one: its matrix is inverted as a whole
 
 
@@ -65,7 +67,15 @@ class Grid:
 
 
 def cover(box: Box, size: float) -> Grid:
-    """The grid over a box, of elements of about `size` [m], whose number can be halved many times."""
+    """The grid over a box, of elements of about `size` [m], whose number can be halved many times.
+
+    Raises `ValueError` for more elements than there is memory for.
+    """
+    if (count := math.prod(length / size for length in box.lengths)) > MOST_CELLS:
+        raise ValueError(
+            f"the box must have at most {MOST_CELLS:.0e} grid cells of {size:g} m, got {count:.1e}, from {box.lower} m "
+            f"to {box.upper} m: take a smaller one"
+        )
     elements = [_divide(length / size, p) for length, p in zip(box.lengths, box.periodic, strict=True)]
     sizes = [length / m if p else size for m, length, p in zip(elements, box.lengths, box.periodic, strict=True)]
     return Grid(box.lower, tuple(sizes), tuple(elements), box.periodic)
