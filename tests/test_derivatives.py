@@ -31,8 +31,8 @@ THRESHOLDS = {"free_surface.beta", "free_surface.asymmetry", "free_surface.spars
 """Where they lie decides between branches, which have no derivative."""
 TIME_STEP = {"time_step.courant", "time_step.gravity_limit", "viscosity.limit"}
 """Not asked while dt is given."""
-SHORT = ("mps", "cmps_hs", "mps_cd_gc_ds")
-"""What takes the time is to compile a scheme, and these three have the models of all: 12 steps; slowly all and 50."""
+SHORT = ("mps", "mps_cd_gc_ds")
+"""What takes the time is to compile a scheme, and these two have most models: 12 steps; slowly all and 50."""
 
 
 def run(name: str, *more: str, short: bool = True):

@@ -111,6 +111,7 @@ def test_a_member_that_blows_up_stays_as_it_was_and_disturbs_no_other(swept, bat
     assert len(many[1]) == 1
 
 
+@pytest.mark.slow
 def test_a_full_table_of_one_member_is_enlarged_without_changing_the_answer(swept, monkeypatch):
     batch = members(swept[0], swept[1], KEYS)
     usual = lanes.Lanes(batch, None, lambda case, state, log: state.particles.position, jax.devices()[:1])
@@ -280,6 +281,7 @@ def test_after_a_kill_only_missing_members_are_computed(alone, tmp_path):
     np.testing.assert_array_equal(mps.gather(tmp_path).of("energy"), alone.of("energy"))
 
 
+@pytest.mark.slow
 def test_members_are_shared_out_over_devices_also_where_they_do_not_divide(many, tmp_path):
     code = f"""
 import sys

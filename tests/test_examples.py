@@ -62,7 +62,9 @@ def test_the_square_patch_example_keeps_what_is_conserved_and_converges(tmp_path
     assert (tmp_path / "square_patch.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(("name", "upward"), [("settling", False), ("surfacing", True)])
+@pytest.mark.parametrize(
+    ("name", "upward"), [pytest.param("settling", False, marks=pytest.mark.slow), ("surfacing", True)]
+)
 def test_the_grain_examples_move_the_grains_the_right_way(name, upward, tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(ROOT / "examples")
     example = load(name)
@@ -111,7 +113,13 @@ SMALL_PAGES = {
 """Pages of the site whose Python is executed, and what makes it small."""
 
 
-@pytest.mark.parametrize("page", SMALL_PAGES)
+README_TOO = ("derivatives", "ensembles")
+"""What README runs as well."""
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=pytest.mark.slow if page in README_TOO else ()) for page in SMALL_PAGES]
+)
 def test_the_python_on_a_page_of_the_site_runs(page, tmp_path, monkeypatch):
     text = shrunk(f"docs/site/{page}.md", SMALL_PAGES[page])
     (tmp_path / "examples").symlink_to(ROOT / "examples")

@@ -68,6 +68,7 @@ def test_a_particle_that_had_left_the_flow_is_gone(whole):
     assert not np.any(np.asarray(state.neighbors.table.idx) == 0)
 
 
+@pytest.mark.slow
 def test_walls_that_have_gone_round_a_period_come_back_into_the_box():
     from test_seams import belt
 

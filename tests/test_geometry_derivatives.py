@@ -129,6 +129,7 @@ def test_derivatives_by_the_particles_of_a_case_are_those_of_central_differences
     assert not np.any(by_position[moving]) and not np.any(by_velocity)
 
 
+@pytest.mark.slow
 def test_the_angular_velocity_of_a_patch_has_a_derivative_through_a_run():
     scheme, key = by_diagonal(mps.schemes.mps_cd_gc_ds(tolerance=1e-13)), jax.random.key(0)
     start = mps.start(mps.cases.square_patch(spacing=0.25), scheme)

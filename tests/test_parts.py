@@ -158,6 +158,7 @@ def test_derivatives_are_those_of_central_differences():
         assert float(found) == pytest.approx(difference, rel=2e-4)
 
 
+@pytest.mark.slow
 def test_water_at_rest_keeps_its_pressure_under_a_drop_as_compact_as_a_solid():
     case = mps.cases.hydrostatic(spacing=0.1, length=1.0, height=0.5, freeboard=1.5)
     p = case.particles

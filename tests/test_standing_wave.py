@@ -39,7 +39,7 @@ CENTERED = functools.partial(schemes.mps_cd_gc_ds, kept_velocity=1.0)
         # 0.8125 s instead of 0.856 s. So the first crest comes 5 to 6.5 % early, and the others 3 to 5 %.
         pytest.param(schemes.mps_hs_gc_ds, 0.07, 0.0, 2.7, 3, id="mps_hs_gc_ds", marks=pytest.mark.slow),
         pytest.param(CENTERED, 0.05, 0.05, 2.7, 3, id="mps_cd_gc_ds", marks=pytest.mark.slow),
-        pytest.param(CENTERED, 0.05, 0.05, 1.0, 1, id="mps_cd_gc_ds, first crest"),
+        pytest.param(CENTERED, 0.05, 0.05, 1.0, 1, id="mps_cd_gc_ds, first crest", marks=pytest.mark.slow),
     ],
 )
 def test_crests_keep_time(scheme, early, late, until, count):

@@ -302,19 +302,19 @@ MOVING = TANK.format(
 
 def test_a_wall_that_is_to_leave_the_domain_is_told_with_time_and_body(file, tmp_path, monkeypatch):  # noqa: F811
     monkeypatch.chdir(tmp_path)
-    # Its last row at x = 0.525 m has 0.175 m to the edge of the domain, which 0.4 t² passes at 0.66144 s.
-    sway = "[motion]\nsway = { times = [0.0, 0.5, 1.0], values = [0.0, 0.1, 0.4] }\n"
+    # Its last row at x = 0.525 m has 0.175 m to the edge of the domain: a quarter of the way from 0.1 to 0.4 m.
+    sway = '[motion]\nsway = { times = [0.0, 0.5, 1.0], values = [0.0, 0.1, 0.4], interpolation = "linear" }\n'
     path = file(MOVING + sway)
     gone = casefile.leaving(read(path))
     assert gone is not None and gone.body == "[[wall]] 1"
-    assert gone.time == pytest.approx(math.sqrt(0.175 / 0.4), rel=1e-6)
+    assert gone.time == pytest.approx(0.625, rel=1e-6)
     assert gone.place[0] == pytest.approx(0.7)
     code, _, err = call("check", path)
-    assert code == 0 and "warning: [[wall]] 1 leaves the domain at t = 0.6614 s" in err
+    assert code == 0 and "warning: [[wall]] 1 leaves the domain at t = 0.625 s" in err
     code, _, err = call("run", path)
-    assert code == 2 and err.startswith("error: [[wall]] 1 leaves the domain at t = 0.6614 s")
+    assert code == 2 and err.startswith("error: [[wall]] 1 leaves the domain at t = 0.625 s")
     assert not (tmp_path / "my").exists()
-    assert casefile.leaving(read(file(MOVING + sway + "[run]\nuntil = 0.66\n"))) is None
+    assert casefile.leaving(read(file(MOVING + sway + "[run]\nuntil = 0.62\n"))) is None
 
 
 def test_of_several_bodies_the_one_that_leaves_is_named(file):  # noqa: F811
