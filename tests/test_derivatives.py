@@ -197,6 +197,7 @@ def test_single_precision_gives_the_derivatives_of_double(name, steps, precision
         assert np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected), leaf
 
 
+@pytest.mark.slow
 def test_derivative_by_the_time_step_that_the_scheme_chooses():
     # From rest, where the speed has no derivative.
     case = cases.hydrostatic(spacing=0.1, length=0.4, height=0.4, freeboard=0.1)

@@ -250,6 +250,7 @@ def alone(tmp_path_factory):
     return read_ensemble(folder / "ensemble.h5")
 
 
+@pytest.mark.slow
 def test_two_processes_make_the_members_of_one(alone, tmp_path):
     where = ["--hosts", f"127.0.0.1:{free_port()}", "--processes", "2", "--process"]
     pair = [launch(tmp_path, *where, str(k)) for k in range(2)]
@@ -305,6 +306,7 @@ write_ensemble({str(tmp_path / "many.h5")!r}, many)
     np.testing.assert_allclose(found.position, many.position, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_compiled_once(swept, monkeypatch):
     cases, schemes = swept
     traced = []

@@ -35,7 +35,8 @@ def test_the_dam_break_example_draws_fronts_and_energy_and_its_fronts_converge(t
     assert {p.name for p in tmp_path.iterdir()} == {"front.png", "energy.png", "long.vtkhdf"}
 
 
-@pytest.mark.parametrize("name", ["2-D", pytest.param("3-D", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["2-D", "3-D"])
+@pytest.mark.slow
 def test_the_hydrostatic_example_stays_at_rest(name, tmp_path):
     (rest,) = load("hydrostatic").main(spacing=0.04, height=0.4, until=0.5, out=str(tmp_path), names=(name,)).values()
     assert rest.pressure == pytest.approx(1.0, abs=0.05)
@@ -113,8 +114,8 @@ SMALL_PAGES = {
 """Pages of the site whose Python is executed, and what makes it small."""
 
 
-README_TOO = ("derivatives", "ensembles")
-"""What README runs as well."""
+README_TOO = ("derivatives", "ensembles", "geometry", "restart")
+"""What README or the tests of a file of their own run as well."""
 
 
 @pytest.mark.parametrize(

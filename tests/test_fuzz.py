@@ -14,7 +14,7 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
 
 def test_any_command_line_ends_with_numbers_or_with_an_error_of_one_line(harness):
     @settings(
-        max_examples=30, deadline=None, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+        max_examples=20, deadline=None, database=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
     )
     @given(command_lines(("dam_break",), ("mps",)))
     def check(line):

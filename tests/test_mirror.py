@@ -123,6 +123,7 @@ def test_pressure_matrix_is_symmetric_and_blind_to_own_images():
     np.testing.assert_allclose((operator @ constant)[unknown], operator.sink[unknown], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_particle_that_comes_through_is_reflected():
     box = mps.Box((0.0, -1.0), (2.0, 3.0), (False, False), 1)
     position = jnp.array([[0.5, -1.25], [0.5, -0.75], [1.0, -1.0]])

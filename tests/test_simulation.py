@@ -92,6 +92,7 @@ def test_the_frame_of_the_start_has_the_hydrostatic_pressure_of_water_at_rest(hi
         np.testing.assert_allclose(many.pressure[:, 0], np.stack([p, p]), atol=1e-3 * (batch - 1) * p.max())
 
 
+@pytest.mark.slow
 def test_the_pressure_of_the_start_changes_nothing_of_the_run(higher_order, monkeypatch):
     case, times = mps.cases.hydrostatic(spacing=0.05), {"until": 0.02, "save_every": 0.01, "progress": False}
     run = mps.simulate(case, higher_order, **times)
@@ -267,25 +268,6 @@ def test_at_rest_without_gravity_a_time_step_is_asked_for(scheme):
 def test_a_wrong_time_is_refused_by_name(scheme, wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         mps.simulate(dam(), scheme, **{"until": 1.0, **wrong})
-
-
-def test_viscosity_damps_motion():
-    case = mps.cases.hydrostatic(spacing=0.05, length=0.5, height=0.5, viscosity=0.05)
-    shear = case.particles.velocity.at[:, 0].set(jnp.where(case.particles.fluid, 0.5, 0.0))
-    moving = mps.Particles(
-        case.particles.position,
-        shear,
-        case.particles.pressure,
-        case.particles.kind,
-        case.particles.phase,
-    )
-    case = mps.Case(moving, case.fluids, case.gravity, case.spacing, case.box)
-    kinetic = {}
-    for viscous in (False, True):
-        scheme = by_diagonal(mps.schemes.mps(viscous=viscous))
-        _, info = mps.rollout(case, scheme, mps.start(case, scheme), steps=20, dt=1e-3)
-        kinetic[viscous] = float(info.energy.kinetic[-1])
-    assert kinetic[True] < 0.9 * kinetic[False]
 
 
 def test_a_period_shorter_than_two_radii_is_refused():

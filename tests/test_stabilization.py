@@ -262,6 +262,7 @@ def end_of_a_tank(scheme: jaxmps.Scheme) -> np.ndarray:
     return np.concatenate([end.position, end.velocity, end.pressure[:, None]], axis=1)
 
 
+@pytest.mark.slow
 def test_step_without_overlaps_is_that_of_the_scheme_without_stabilization():
     # The pressure force that decides on an overlap is that of the corrected gradient. Round-off: compilers order sums
     # differently. With a limit beyond the spacing of the particles the flow is another one.

@@ -195,6 +195,7 @@ def test_bad_calls_are_refused(unchecked):
         mps.Evolution(pairs=1.5)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_strength_of_the_noise_is_tuned_through_runs_with_one_compilation():
     case = mps.cases.standing_wave(spacing=0.1, floor="mirror")
     scheme = by_diagonal(mps.schemes.stochastic(mps.schemes.mps(), alpha=0.01))

@@ -59,7 +59,8 @@ def whole(flow, twelve_steps, velocity):
     return twelve_steps[2](velocity, flow[2])
 
 
-@pytest.mark.parametrize("segment", [pytest.param(None, marks=pytest.mark.slow), 5])
+@pytest.mark.parametrize("segment", [None, 5])
+@pytest.mark.slow
 def test_segments_change_neither_run_nor_derivative(flow, velocity, whole, segment):
     case, scheme, start = flow
     (value, _), slope = graded(case, scheme, 12, segment=segment)(velocity, start)

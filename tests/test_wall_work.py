@@ -35,7 +35,11 @@ def balance(run: mps.Run) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     "moved",
-    [{"heave": (0.05, 6.0, -0.5 * np.pi)}, {"sway": (0.03, 9.0, -0.5 * np.pi)}, {"roll": (0.2, 5.0, 0.0)}],
+    [
+        {"heave": (0.05, 6.0, -0.5 * np.pi)},
+        pytest.param({"sway": (0.03, 9.0, -0.5 * np.pi)}, marks=pytest.mark.slow),
+        {"roll": (0.2, 5.0, 0.0)},
+    ],
     ids=str,
 )
 def test_walls_that_move_as_one_body_give_the_water_what_it_gains(moved):
