@@ -85,12 +85,33 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", before)
 
 
-@pytest.fixture(scope="module")
-def unchecked_file() -> Iterator[None]:
-    """For a file that runs what others check: checks take an eighth of the time to trace and compile a step."""
-    jaxtyping.config.update("jaxtyping_disable", True)
+CHECKED = {
+    "test_box",
+    "test_cases",
+    "test_collision",
+    "test_diagnostics",
+    "test_divergence",
+    "test_free_surface",
+    "test_gradient_models",
+    "test_kernels",
+    "test_multigrid",
+    "test_neighbors",
+    "test_operators",
+    "test_pressure",
+    "test_simulation",
+    "test_sources",
+    "test_stabilization",
+}
+"""Files with annotations checked: they call each function of the package, and steps of all kinds of flows."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def checked_where_it_matters(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Elsewhere annotations are not checked: that takes an eighth of the time to trace and compile a step."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", request.module.__name__ not in CHECKED)
     yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -11,7 +11,6 @@ from hasty import by_diagonal
 
 import jaxmps as mps
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 SHORT = {"steps": 1, "dt": 1e-3}
 
 

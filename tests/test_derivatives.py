@@ -16,7 +16,6 @@ from hasty import by_diagonal, quick
 import jaxmps
 from jaxmps import cases, schemes
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 DT = 5e-4
 SCHEMES = ("mps", "cmps_hs", "mps_hs_gc", "mps_hs_gc_ds", "mps_cd_gc_ds")
 FLOW = ("position", "velocity", "density", "gravity", "viscosity", "dt")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 ROOT = Path(__file__).parent.parent
 
 

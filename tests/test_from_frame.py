@@ -12,7 +12,6 @@ from hasty import by_diagonal
 import jaxmps as mps
 from jaxmps.flow import Kind
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 TIMES: dict[str, Any] = {"until": 0.08, "save_every": 0.02, "dt": 0.004}
 
 

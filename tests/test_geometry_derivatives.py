@@ -14,7 +14,6 @@ import jaxmps as mps
 from jaxmps.casefile.arguments import arguments, case_factories, scheme_factories
 from jaxmps.flow.motion import Rigid, Sine
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 VALUES = {"gravity", "angular_velocity", "period", "phase"}
 """What is no geometry, and has a derivative; densities and viscosities beside."""
 COARSE = {"settling": 0.0125, "surfacing": 0.0125, "sloshing": 0.05}

@@ -16,8 +16,6 @@ from hasty import by_diagonal
 import jaxmps as mps
 from jaxmps.flow.motion import Rigid, Table
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
-
 
 def flow() -> tuple[mps.Case, mps.Scheme, mps.State]:
     """A wave with a mirror, some steps on its way, whose list is not of the usual size."""

@@ -12,7 +12,6 @@ import jaxmps as mps
 from jaxmps.flow.motion import Rigid, Table
 from jaxmps.running.upkeep import happened
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 BELT = 5.0  # m/s
 
 

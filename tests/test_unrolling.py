@@ -9,7 +9,6 @@ from hasty import by_diagonal, options, quick
 
 import jaxmps as mps
 
-pytestmark = pytest.mark.usefixtures("unchecked_file")
 DT = 2e-3
 
 
