@@ -22,12 +22,13 @@ def load(name: str) -> Any:
 @pytest.mark.slow
 def test_the_dam_break_example_draws_fronts_and_energy_and_its_fronts_converge(tmp_path):
     example = load("dam_break")
-    fronts, long = example.main((0.1, 0.05, 0.025), 0.52, 0.1, 0.3, str(tmp_path))
-    finest = fronts[0.025]
+    fronts, long = example.main((0.1, 0.05, 0.02), 0.52, 0.1, 0.3, str(tmp_path))
+    finest = fronts[0.02]
     coarse, middle = (abs(fronts[s].z - finest.z).mean() for s in (0.1, 0.05))
     assert middle < coarse
     # The bar for the resolution of the paper, 0.02 m: within 10 % of Koshizuka & Oka's computation, ahead of their
-    # experiment by no more than 20 %. At 0.025 m it holds as well.
+    # experiment by no more than 20 %. Starts that differ by a millimeter scatter by 1.5 %: -7 to -9 % there, and up to
+    # -10.6 % at 0.025 m.
     assert finest.against_mps[0] > -0.1 and finest.against_mps[1] < 0.1
     assert finest.ahead_of_experiment < 0.2
     assert long.status.completed

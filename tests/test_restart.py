@@ -21,10 +21,7 @@ from jaxmps.io import checkpoint_of, image, read_checkpoint, write_checkpoint
 from jaxmps.io.checkpoint import VERSION
 from jaxmps.running import checkpoints, loop, restart
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning"),
-    pytest.mark.usefixtures("unchecked_file"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::jaxmps.SimulationWarning")
 TIMES: dict[str, Any] = {"until": 0.3, "save_every": 0.15}
 SCHEMES = {
     "stochastic": lambda: mps.schemes.stochastic(mps.schemes.mps(), alpha=0.05),
