@@ -209,6 +209,7 @@ def test_the_l_shaped_tank_runs_with_every_scheme(scheme):
     assert -9.81 * 0.011 < run.velocity[-1][run.fluid[-1]][:, 1].mean() < 0.0
 
 
+@pytest.mark.slow
 def test_a_tank_from_an_stl_file_holds_water_in_three_dimensions(file, tmp_path):
     trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [400.0, 200.0, 500.0]]).export(tmp_path / "tank.stl")
     text = alone("box = [[0.0, 0.0, 0.0], [0.4, 0.2, 0.3]]", 0.1, "[0.0, 0.0, -9.81]")

@@ -63,9 +63,8 @@ def test_the_square_patch_example_keeps_what_is_conserved_and_converges(tmp_path
     assert (tmp_path / "square_patch.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(
-    ("name", "upward"), [pytest.param("settling", False, marks=pytest.mark.slow), ("surfacing", True)]
-)
+@pytest.mark.parametrize(("name", "upward"), [("settling", False), ("surfacing", True)])
+@pytest.mark.slow
 def test_the_grain_examples_move_the_grains_the_right_way(name, upward, tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(ROOT / "examples")
     example = load(name)

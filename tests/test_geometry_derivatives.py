@@ -99,6 +99,7 @@ def test_a_rollout_from_the_case_is_the_one_from_its_start_whatever_the_state_th
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_particles_of_a_case_are_those_of_central_differences_from_the_case_and_zero_else(rolling):
     case, scheme, start = rolling
     weights = jnp.array(np.random.default_rng(4).normal(size=(2, *case.particles.position.shape)))

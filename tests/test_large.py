@@ -66,6 +66,7 @@ def all_operators(neighbors, particles, case, p, dim):
     }
 
 
+@pytest.mark.slow
 def test_compiled_operators_agree_with_uncompiled_ones_at_40_000_particles(large):
     case, particles = large.case, large.case.particles
     p = jnp.array(np.random.default_rng(6).uniform(0, 1e4, len(particles.kind)))

@@ -156,6 +156,7 @@ def test_water_at_rest_on_a_mirror_has_hydrostatic_pressure():
     assert np.abs(run.velocity[-1]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_antisymmetric_forces_keep_the_momentum_along_a_smooth_floor_to_round_off():
     # Disordered: a symmetric wave would keep its momentum with any scheme, and on any floor.
     drift = {}

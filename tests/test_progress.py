@@ -169,6 +169,7 @@ def every(monkeypatch) -> None:
     monkeypatch.setattr(display, "EVERY", 0.002)
 
 
+@pytest.mark.slow
 def test_runs_tell_how_far_they_are_where_there_is_no_terminal(every, tmp_path):
     command = ["run", "dam_break", "--spacing", "0.1", "--until", "0.5", "--dt", "0.005", "--out", str(tmp_path / "a")]
     path = tmp_path / "run.vtkhdf"
