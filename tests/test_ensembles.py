@@ -85,6 +85,7 @@ def in_one_program():
     return mps.ensemble(*sweep(), keys=KEYS, batch=3, **TIMES)
 
 
+@pytest.mark.slow
 def test_members_in_one_program_are_single_runs_to_round_off(many):
     together = in_one_program()
     # Round-off is amplified by some hundred steps of a chaotic flow.

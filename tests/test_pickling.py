@@ -71,6 +71,7 @@ with open(sys.argv[2], "wb") as file:
 """
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_carries_a_state_on(tmp_path: Path):
     there, back = tmp_path / "there", tmp_path / "back"
     there.write_bytes(pickle.dumps(flow()))

@@ -75,6 +75,7 @@ def higher_order():
         yield by_diagonal(mps.schemes.mps_hs_gc_ds())
 
 
+@pytest.mark.slow
 def test_the_frame_of_the_start_has_the_hydrostatic_pressure_of_water_at_rest(higher_order, tmp_path):
     case = mps.cases.hydrostatic(spacing=0.05)
     times = {"until": 0.002, "dt": 0.001, "progress": False}
