@@ -124,6 +124,18 @@ def test_a_full_table_of_one_member_is_enlarged_without_changing_the_answer(swep
     assert small._state.neighbors.capacity > 9
 
 
+@pytest.mark.slow
+def test_the_pressure_of_the_start_is_found_however_often_the_table_has_to_grow(swept, monkeypatch):
+    batch = members(swept[0], swept[1], KEYS)
+    pressures = []
+    for capacity in (20, 3):  # 3 grows to 7 and to 11, and 12 neighbors are there
+        monkeypatch.setattr(starting, "usual_capacity", lambda reach, dim, capacity=capacity: capacity)
+        made = lanes.Lanes(batch, None, lambda case, state, log: state.particles.pressure, jax.devices()[:1])
+        pressures.append(made.look(0.02))
+    assert pressures[0].any()
+    np.testing.assert_allclose(pressures[1], pressures[0], atol=1e-3 * pressures[0].max())
+
+
 def test_memory_of_a_member_stays_below_what_is_reckoned_with(swept):
     case, scheme = swept[0][0], mps.schemes.stochastic(mps.schemes.mps(), alpha=0.0)
     zero = jnp.zeros(())

@@ -91,7 +91,7 @@ class Lanes:
         while grown is not None:  # from the same start, with larger tables
             carry, steps = (state, timer, self._log), jnp.asarray(1)
             (found, _, _), status = _advance(self._mesh, self._own, self._shared, carry, self._dt, self._keys, steps)
-            grown = upkeep.after(np.asarray(status), lambda lane: _lane(self._state, lane))
+            grown = upkeep.after(np.asarray(status), partial(_lane, state))
             if grown is not None:
                 state = eqx.tree_at(lambda s: s.neighbors, state, _stacked(grown))
         new = np.array([unsolved(_lane(self._state, k)) for k in range(len(upkeep.going))])
