@@ -27,9 +27,6 @@ BITS = (
 
 
 _FAILED = 0.1  # of its right-hand side that a solve leaves over: what it gives is no pressure
-_RUNAWAY_SPEED = (
-    10.0  # times the speed that all its energy would give to a particle: impacts throw water up, not so fast
-)
 
 
 class Work(NamedTuple):

@@ -1,6 +1,5 @@
 """Whether everything in a file of an own geometry fits together: dimensions, shapes, sides, and room in the box."""
 
-import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +9,7 @@ import shapely
 
 from jaxmps.casefile import meshes, plane
 from jaxmps.casefile.models import OwnFile
-from jaxmps.casefile.parsing import CaseFileError
+from jaxmps.casefile.parsing import CaseFileError, attempted
 from jaxmps.casefile.shapes import Body, Shape
 from jaxmps.flow import Box
 
@@ -101,15 +100,6 @@ def _check_probes(file: Any, dim: int, vectors: Callable[..., None], faults: lis
         vectors(where, point=getattr(probe, "point", None), segment=getattr(probe, "segment", None))
         if probe.kind == "wave_gauge" and (probe.y is not None) != (dim == 3):
             faults.append(f"{where}: y must be given in 3-D, and in 3-D only, got {probe.y}")
-
-
-@contextlib.contextmanager
-def attempted(where: str, faults: list[str]) -> Iterator[None]:
-    """A `ValueError` in it becomes one of the faults of the table `where`."""
-    try:
-        yield
-    except ValueError as error:
-        faults.append(f"{where}: {error}")
 
 
 def check_size(kind: str, corners: np.ndarray, spacing: float) -> None:

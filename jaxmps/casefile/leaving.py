@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from jaxmps._compilation import jit
 from jaxmps.casefile.setup import Setup
-from jaxmps.flow import Box, Kind
-from jaxmps.flow.motion import AbstractMotion, AbstractSignal, Bodies, Rigid, Sine, Still, Table
+from jaxmps.flow import Box
+from jaxmps.flow.motion import AbstractMotion, AbstractSignal, Bodies, Rigid, Sine, Table
 
 _FEWEST, _MOST = 500, 50_000  # instants that are looked at
 _FINE = 32  # of them in a period, or between two times of a table
@@ -37,9 +37,9 @@ class Leaving(NamedTuple):
 def leaving(setup: Setup) -> Leaving | None:
     """Of the walls the first that is outside of the domain at some time of the run; None if all stay inside."""
     case = setup.case
-    if isinstance(case.motion, Still):
+    if not case.walls_move:
         return None
-    walls = np.isin(np.asarray(case.particles.kind), (Kind.WALL, Kind.DUMMY))
+    walls = np.asarray(case.particles.fixed)
     reference, body = np.asarray(case.particles.position, float), _bodies(setup, walls)
     some = _outermost(case.motion, reference, body, walls)
     if not walls.any():

@@ -1,10 +1,11 @@
 """A case file read and checked; every fault in it is told in a line of its own."""
 
+import contextlib
 import functools
 import inspect
 import tomllib
 import typing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -133,6 +134,15 @@ def _inner(annotation: Any) -> list[Any]:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+@contextlib.contextmanager
+def attempted(where: str, faults: list[str]) -> Iterator[None]:
+    """A `ValueError` in it becomes one of the faults of the table `where`."""
+    try:
+        yield
+    except ValueError as error:
+        faults.append(f"{where}: {error}")
 
 
 def attributed(path: Path, where: str, make: Callable[[], Any]) -> Any:

@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from jaxmps.casefile.meshes import Solid, thickness
 from jaxmps.casefile.models import OwnFile
-from jaxmps.casefile.parsing import CaseFileError
+from jaxmps.casefile.parsing import CaseFileError, attempted
 from jaxmps.casefile.shapes import Wall
 from jaxmps.cases.lattice import dummy_layers
 
@@ -31,12 +31,11 @@ def with_plates(file: OwnFile, path: Path, ratio: float, spacing: float) -> OwnF
     """The file with its plates made into obstacles of that thickness. Raises `CaseFileError` for one that is to be too
     thin, or whose polyline meets its own end.
     """
-    faults, walls = [], []
+    faults: list[str] = []
+    walls = []
     for index, table in enumerate(file.wall, 1):
-        try:
+        with attempted(f"[[wall]] {index}", faults):
             walls.append(_thickened(table, ratio, spacing) if table.plate else table)
-        except ValueError as error:
-            faults.append(f"[[wall]] {index}: {error}")
     if faults:
         raise CaseFileError(path, faults)
     return file.model_copy(update={"wall": walls})

@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxmps._types import Scalar, as_array
-from jaxmps.flow.particles import Kind, Particles
+from jaxmps.flow.particles import Particles
 from jaxmps.validation import one_of
 
 INTERPOLATIONS = ("pchip", "linear")
@@ -192,7 +192,7 @@ def _driven(motion: AbstractMotion, particles: Particles, reference: Float[Array
     """Walls at their places, with the time derivative of these as their velocity."""
     place = lambda t: motion.place(reference, t)  # noqa: E731
     position, velocity = jax.jvp(place, (time,), (jnp.ones_like(time),))
-    walls = ((particles.kind == Kind.WALL) | (particles.kind == Kind.DUMMY))[:, None]
+    walls = particles.fixed[:, None]
     return eqx.tree_at(
         lambda p: (p.position, p.velocity),
         particles,

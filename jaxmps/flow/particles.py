@@ -45,6 +45,11 @@ class Particles(eqx.Module):
         return self.kind == Kind.FLUID
 
     @property
+    def fixed(self):
+        """Which are walls and dummies: they stand, or go where a motion has them."""
+        return (self.kind == Kind.WALL) | (self.kind == Kind.DUMMY)
+
+    @property
     def listed_position(self):
         """`position`, not a number where a particle was removed: the neighbor search passes over those."""
         return jnp.where((self.kind == Kind.REMOVED)[:, None], jnp.nan, self.position)

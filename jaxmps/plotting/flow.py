@@ -100,8 +100,9 @@ class Scene:
         self.title.set_text(" · ".join([*heading(self.run), time]))
 
     def mark(self, place: np.ndarray, color: str) -> None:
-        """Makes a particle at this place [m] stand out."""
-        self._view.mark(place, color)
+        """A ring around a particle at this place [m], also around one behind others."""
+        at = self._view.seen(place)
+        self.axes.plot(*at[:, None], ls="none", marker="o", ms=16.0, mfc="none", mec=color, mew=2.0, zorder=5)
 
     def _color_bar(self, extend: str) -> None:
         from matplotlib.cm import ScalarMappable

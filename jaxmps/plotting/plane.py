@@ -48,9 +48,9 @@ class Plane:
                 line.set_data(*points.T)
                 name.xy = points.mean(axis=0)
 
-    def mark(self, place: np.ndarray, color: str) -> None:
-        """A ring around a particle."""
-        self.axes.plot(*place[:, None], ls="none", marker="o", ms=16.0, mfc="none", mec=color, mew=2.0, zorder=5)
+    def seen(self, points: np.ndarray) -> np.ndarray:
+        """Where in the axes points [m] are."""
+        return points
 
     def _discs(self, offsets: np.ndarray, **style: Any) -> Any:
         from matplotlib.collections import EllipseCollection

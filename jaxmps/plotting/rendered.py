@@ -80,7 +80,7 @@ class Rendered:
         axes.set_axis_off()
         self._names = [axes.text(0, 0, f"  {probe.name}", color=INK, fontsize=8) for probe in probes]
         axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="x [m]", ylabel="y [m]")
-        rulers(axes, self._seen, corners, 0.03 * self._half)
+        rulers(axes, self.seen, corners, 0.03 * self._half)
         self.moving = [self.mapped]
 
     def show(self, index: int, values: np.ndarray) -> None:
@@ -96,15 +96,10 @@ class Rendered:
             for probe, name in zip(self._probes, self._names, strict=True):
                 points = probe_line(run, probe, index, (self._low[2], self._high[2]))
                 self._line(probe.name, points)
-                name.set_position(self._seen(points[-1]))
+                name.set_position(self.seen(points[-1]))
             plotter.render()  # else a screenshot shows what was rendered before
             image = plotter.screenshot(return_img=True)
         self.mapped.set_data(image)
-
-    def mark(self, place: np.ndarray, color: str) -> None:
-        """A ring around a particle, also around one behind others."""
-        at = self._seen(place)
-        self.axes.plot(*at[:, None], ls="none", marker="o", ms=16.0, mfc="none", mec=color, mew=2.0, zorder=5)
 
     def _look(self) -> None:
         """The eye far away, so that all balls are of one size."""
@@ -120,12 +115,12 @@ class Rendered:
             (0.0, 0.0, 1.0),
         ]
         plotter.enable_parallel_projection()
-        wide, tall = np.ptp(self._seen(np.array(list(itertools.product(*zip(low, high, strict=True))))), axis=0)
+        wide, tall = np.ptp(self.seen(np.array(list(itertools.product(*zip(low, high, strict=True))))), axis=0)
         self._half = 0.5 * _MARGIN * max(float(tall), float(wide) * self._pixels[1] / self._pixels[0])
         plotter.camera.parallel_scale = self._half
         plotter.camera.clipping_range = (3.0 * reach, 7.0 * reach)
 
-    def _seen(self, points: np.ndarray) -> np.ndarray:
+    def seen(self, points: np.ndarray) -> np.ndarray:
         """Where in the picture points `(..., 3)` [m] are."""
         return (points - self._middle) @ self._screen.T
 

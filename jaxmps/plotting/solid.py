@@ -45,9 +45,9 @@ class Solid:
         for probe, line in self._probes:
             line.set_data_3d(*probe_line(run, probe, index, self.axes.get_zlim()).T)
 
-    def mark(self, place: np.ndarray, color: str) -> None:
-        """A ring around a particle."""
-        self.axes.plot(*place[:, None], ls="none", marker="o", ms=16.0, mfc="none", mec=color, mew=2.0, zorder=5)
+    def seen(self, points: np.ndarray) -> np.ndarray:
+        """Where in the axes points [m] are."""
+        return points
 
     def _probe(self, probe: Probe) -> Any:
         points = probe_line(self._run, probe, 0, self.axes.get_zlim())

@@ -36,14 +36,15 @@ def loose_parts(
     number = jnp.arange(1, len(sink) + 1, dtype=jnp.int32)
     known = sink > LINK * diagonal
     linked = coupling > LINK * jnp.minimum(diagonal, take(diagonal, j))
+    beyond = jnp.int32(len(sink) + 1)  # no label
     doubtful = jnp.any(summit & unknown & ~known)
 
     def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         part, _ = carry
         of_part = jnp.where(part > 0, take(part, jnp.maximum(part - 1, 0)), 0)
-        least = jnp.min(jnp.where(linked, take(of_part, j), jnp.int32(len(sink) + 1)), axis=0, initial=len(sink) + 1)
+        least = jnp.min(jnp.where(linked, take(of_part, j), beyond), axis=0, initial=beyond)
         least = jnp.minimum(least, of_part)
-        hooked = part.at[jnp.maximum(part - 1, 0)].min(jnp.where(part > 0, least, len(sink) + 1))
+        hooked = part.at[jnp.maximum(part - 1, 0)].min(jnp.where(part > 0, least, beyond))
         new = jnp.minimum(hooked, least)
         return new, jnp.any(new != part)
 

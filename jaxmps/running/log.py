@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxmps._types import Scalar
-from jaxmps.flow import Case, Event, Kind, Particles, Status, mechanical_energy
+from jaxmps.flow import Case, Event, Particles, Status, mechanical_energy
 from jaxmps.monitor import BITS, StepInfo
 
 _RUNAWAY = 10.0  # times the speed that all its energy would give to a particle: impacts throw water up, not so fast
@@ -54,12 +54,16 @@ def judged(log: Log, info: StepInfo, particles: Particles) -> StepInfo:
     """The step with `RUNAWAY` in its status, where the energy of the flow has risen by more than all that it had and
     was given, or a particle is ten times as fast as all this would make it. `particles` are those at the step's start.
     """
-    wall = (particles.kind == Kind.WALL) | (particles.kind == Kind.DUMMY)
-    of_walls = jnp.max(jnp.where(wall, jnp.sum(particles.velocity**2, axis=-1), 0.0))
-    allowed = log.scale + log.put_in + info.given + jnp.maximum(info.wall_work, 0.0) + 0.5 * of_walls
+    of_walls = jnp.max(jnp.where(particles.fixed, jnp.sum(particles.velocity**2, axis=-1), 0.0))
+    allowed = log.scale + log.put_in + _put_in(info) + 0.5 * of_walls
     fast = 0.5 * info.max_speed**2 > _RUNAWAY**2 * allowed
     runaway = (allowed > 0) & (fast | (_risen(log, info) > allowed)) & ((info.status & int(Status.TABLE_FULL)) == 0)
     return info._replace(status=info.status | jnp.where(runaway, int(Status.RUNAWAY), 0))
+
+
+def _put_in(info: StepInfo) -> Scalar:
+    """Energy [J/kg] that noise gave in a step, and walls if they did not take it."""
+    return info.given + jnp.maximum(info.wall_work, 0.0)
 
 
 def _risen(log: Log, info: StepInfo) -> Scalar:
@@ -75,7 +79,6 @@ def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Parti
     first = raised & (log.count == 0)
     amount = jnp.where(jnp.array([bit == Status.ESCAPED for bit in BITS]), info.escaped, 1)
     value = jnp.stack([none, info.travel, none, info.residual, none, none, info.residual, _risen(log, info)])
-    new = jnp.where(accepted, info.given + jnp.maximum(info.wall_work, 0.0), 0.0)
     return Log(
         steps=log.steps + accepted,
         residual=log.residual + jnp.where(accepted, info.residual, 0.0),
@@ -86,7 +89,7 @@ def extend(log: Log, info: StepInfo, accepted: Bool[Array, ""], particles: Parti
         given=log.given + jnp.where(accepted, info.given, 0.0),
         wall_work=log.wall_work + jnp.where(accepted, info.wall_work, 0.0),
         lost=log.lost + jnp.where(accepted, info.loss, 0.0),
-        put_in=log.put_in + new,
+        put_in=log.put_in + jnp.where(accepted, _put_in(info), 0.0),
         scale=log.scale,
         count=log.count + jnp.where(raised, amount, 0).astype(log.count.dtype),
         step=jnp.where(first, step, log.step).astype(log.step.dtype),
